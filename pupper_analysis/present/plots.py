@@ -46,8 +46,9 @@ def plot_result(result: Any, robot: object = None) -> tuple[Axes, ...]:
 
     load_builder(type(result))
     axes = draw_result(result, robot)
-    for figure in {axis.get_figure(root=True) for axis in axes} - {None}:
-        set_fallback_fonts(figure)
+    for figure in {axis.get_figure(root=True) for axis in axes}:
+        if figure is not None:
+            set_fallback_fonts(figure)
     return axes
 
 

@@ -419,12 +419,13 @@ def make_pose_figure(
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
         _mark_front(axes, projection, lines.forward)
-        _write_feet(axes, projection, lines, robot.feet)
+        names = _write_feet(axes, projection, lines, robot.feet)
         forces = f", forces up to {_find_largest_force(seen):.3g} N" if seen.contacts else ""
         largest = forces if place < 0.5 else ""
         drawing.title_panel(axes, f"{side}{largest}")
         axes.set_axis_off()
         _draw_scale(axes, seen)
+        _make_room_for_texts(axes, names)
     base_label = "base" if lines.has_visuals else "base (collision shapes)"
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": colours.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
@@ -640,8 +641,8 @@ _FRONT_ARROW_LENGTH, _FRONT_ARROW_PLACE = 16.0, 0.68
 
 def _write_feet(
     axes: Axes, projection: Array, lines: Skeleton, feet: Mapping[str, Sequence[str]]
-) -> None:
-    """Write the name of each foot beside its outermost contact point in the view.
+) -> list[Annotation]:
+    """Write the name of each foot beside its outermost contact point in the view; return the texts.
 
     ``feet`` contains the contact points of each foot. Parts that all names contain are omitted.
     """
@@ -661,36 +662,42 @@ def _write_feet(
                              parse_math=False)  # fmt: skip
         text.set_path_effects([withStroke(linewidth=2, foreground="white")])
         texts.append(text)
-    _make_room_for_texts(axes, texts)
+    return texts
 
 
 _MAX_FOOT_NAME_LENGTH = 20
 """Largest number of letters of the displayed name of a foot. Chosen, not tuned."""
 
-_MAX_ROOM_STEPS = 5
-"""Largest number of times that a view is reduced for the names beside it. Chosen, not tuned: each
-step halves the remaining overlap or better.
+_NUM_ROOM_STEPS = 100
+"""Number of fixed-point iterations for the scale of a view. Chosen, not tuned: each iteration
+reduces the error by the fraction of the panel that names cover, 0.86 for names of 20 letters.
 """
 
 
 def _make_room_for_texts(axes: Axes, texts: Sequence[Annotation]) -> None:
     """Widen the limits of x until all texts are within the panel of the view.
 
-    The panel is the position of the axes before their aspect ratio is applied.
+    The panel is the position of the axes before their aspect ratio is applied. Texts have a
+    constant size in pixels, so the limits depend on the scale, and the scale on the limits.
     """
     figure = axes.get_figure(root=True)
     assert figure is not None
     panel = axes.get_position(original=True).transformed(figure.transFigure)
-    for _ in range(_MAX_ROOM_STEPS):
-        axes.apply_aspect()
-        boxes = [text.get_window_extent() for text in texts]
-        left = max((panel.x0 - box.x0 for box in boxes), default=0.0)
-        right = max((box.x1 - panel.x1 for box in boxes), default=0.0)
-        if max(left, right) <= 0:
-            return
-        low, high = axes.get_xlim()
-        metres = (high - low) / axes.get_window_extent().width  # of a pixel
-        axes.set_xlim(low - metres * max(left, 0.0), high + metres * max(right, 0.0))
+    axes.apply_aspect()
+    low, high = axes.get_xlim()
+    scale = axes.get_window_extent().width / (high - low)  # pixels per metre
+    height_scale = panel.height / float(np.ptp(axes.get_ylim()))
+    anchors = np.array([text.xy[0] for text in texts])
+    boxes = [text.get_window_extent() for text in texts]
+    places = axes.transData.transform([(anchor, 0.0) for anchor in anchors])[:, 0]
+    before = np.array([box.x0 for box in boxes]) - places  # [pixels]
+    behind = np.array([box.x1 for box in boxes]) - places
+    start, end = low, high
+    for _ in range(_NUM_ROOM_STEPS):
+        start = min(low, float(np.min(anchors + before / scale)))
+        end = max(high, float(np.max(anchors + behind / scale)))
+        scale = min(height_scale, panel.width / (end - start))
+    axes.set_xlim(start, end)
 
 
 def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> None:

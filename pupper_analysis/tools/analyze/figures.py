@@ -63,6 +63,10 @@ _MAX_TILE_RATIO = 1.5
 """Largest height of a tile, relative to its width [1]. A single tile is at most as high as wide.
 Chosen, not tuned: a humanoid in its stand is about 2.4 times as high as wide.
 """
+_LABEL_MARGIN = 0.02
+"""Smallest margin on both sides of a name below a robot, relative to the tile width [1]; longer
+names have a smaller font. Chosen, not tuned.
+"""
 LABEL_HEIGHT = 0.125
 """Height of the strip for the text below a robot, relative to the width of the robot's tile [1].
 Chosen, not tuned."""
@@ -454,7 +458,9 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
     numbers = f"{legs}mass {format_widened(robot.total_mass, '.2f')} kg"
     below = y + 2.0 * size * _PICTURE_DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
-    canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)
+    name = canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)
+    widest = (1 - 2 * _LABEL_MARGIN) * tile.width  # one pixel per unit of the canvas
+    name.set_fontsize(1.35 * size * min(1.0, widest / name.get_window_extent().width))
     canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
 
 

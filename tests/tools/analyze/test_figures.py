@@ -6,7 +6,9 @@ import itertools
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -145,6 +147,22 @@ def test_label_omits_an_unknown_leg_length(
     canvas = Figure().add_subplot()
     render._write_label(canvas, tile)
     assert [text.get_text() for text in canvas.texts] == ["v3", label]
+
+
+def test_long_name_of_a_robot_fits_the_tile() -> None:
+    """Reference: bounding box. Long names of robots side by side overlapped."""
+    robot, stand = load("v3"), stand_of("v3")
+    tile = lay_out_tiles([(robot, stand.qpos)] * 3, WIDTH, 3)[1]
+    tile = replace(tile, robot=SimpleNamespace(name="W" * 60, total_mass=0.00317))
+    figure = Figure(figsize=(WIDTH / 100, 4), dpi=100)
+    canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, WIDTH), ylim=(400, 0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(render, "measure_leg_lengths", lambda robot: (None, None))
+        render._write_label(canvas, tile)
+    name, numbers = canvas.texts
+    assert numbers.get_text() == "mass 0.0032 kg"
+    box = name.get_window_extent()
+    assert tile.left <= box.x0 < box.x1 <= tile.left + tile.width
 
 
 @pytest.mark.usefixtures("no_opengl")
