@@ -41,6 +41,7 @@ from pupper_analysis.present.html.plots import (
     PLOT_WIDTH,
     RIGHT_MARGIN,
     draw_svg,
+    round_log_ticks,
 )
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
@@ -502,3 +503,20 @@ def test_letters_without_a_font_are_stated_in_the_figure(
             "DejaVu Sans", *fallbacks
         ]  # fmt: skip
     drawing._list_fonts.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (3.6, 18.0, [5, 7, 10, 15]),
+        (0.2, 100.0, [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]),
+        (0.01, 1e4, [0.01, 0.1, 1, 10, 100, 1e3, 1e4]),
+        (0.55, 0.65, [0.56, 0.58, 0.6, 0.62, 0.64]),
+        (1e-6, 2.2e-6, [1e-6, 1.5e-6, 2e-6]),
+    ],
+)
+def test_logarithmic_axes_have_at_least_three_round_ticks(
+    low: float, high: float, ticks: list[float]
+) -> None:
+    """Reference: by hand. An axis from 3.6 to 18 had the ticks 5 and 10 only."""
+    assert round_log_ticks(low, high) == pytest.approx(ticks)

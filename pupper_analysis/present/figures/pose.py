@@ -754,7 +754,8 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
 
     The bar is to scale for lengths from left to right in the view.
     """
-    limit = 0.6 * _measure_support(seen) or 0.3 * float(np.ptp(axes.get_xlim()))
+    width = float(np.ptp(axes.get_xlim()))
+    limit = min(0.6 * _measure_support(seen) or 0.3 * width, _MAX_BAR_RATIO * width)
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)
     length = max(fitting, default=_SCALE_LENGTHS[0])
     low, high = axes.get_ylim()
@@ -766,5 +767,9 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
     axes.add_artist(bar)
 
 
+_MAX_BAR_RATIO = 0.55
+"""Largest length of the scale bar, relative to the width of the view [1]: the arrow that marks the
+front begins at `_FRONT_ARROW_PLACE`. Chosen, not tuned.
+"""
 _SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Possible lengths of the scale bar [m]. Chosen, not tuned."""

@@ -245,13 +245,24 @@ _MAX_FINE_DECADES = 3.0
 larger range has a tick per power. Chosen, not tuned.
 """
 
+_MIN_LOG_TICKS = 3
+"""Smallest number of ticks of a logarithmic axis, if possible. Chosen, not tuned."""
+
 
 def round_log_ticks(low: float, high: float) -> list[float]:
-    """Choose round tick values of a logarithmic axis from ``low`` to ``high``, ascending."""
-    start, end = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    digits = (1, 2, 5) if math.log10(high / low) <= _MAX_FINE_DECADES else (1,)
-    values = (float(f"{digit}e{power}") for power in range(start, end + 1) for digit in digits)
-    return [value for value in values if low <= value <= high]
+    """Choose round tick values of a logarithmic axis from ``low`` to ``high``, ascending.
+
+    If fewer than `_MIN_LOG_TICKS` values at 1, 2 and 5 times a power of 10 are inside, there are
+    further values; in a small range, the values are those of a linear axis.
+    """
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    fine = math.log10(high / low) <= _MAX_FINE_DECADES
+    for digits in (["1", "2", "5"] if fine else ["1"], ["1", "1.5", "2", "3", "5", "7"]):
+        values = [float(f"{digit}e{power}") for power in powers for digit in digits]
+        inside = [value for value in values if low <= value <= high]
+        if len(inside) >= _MIN_LOG_TICKS:
+            return inside
+    return round_ticks(low, high)
 
 
 _X_MARGIN = 0.03

@@ -77,6 +77,16 @@ def choose_utilisation_colour(utilisation: float | None) -> Colour:
     return OVERLOAD_COLOUR
 
 
+def linearise(colour: Colour) -> Colour:
+    """Convert an sRGB colour (0 to 255) to linear intensities, 0 to 255 (IEC 61966-2-1)."""
+    shares = [value / 255 for value in colour]
+    red, green, blue = (
+        round(255 * (share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4))
+        for share in shares
+    )
+    return red, green, blue
+
+
 def to_css(colour: Colour) -> str:
     """Return an RGB colour (0 to 255) as CSS text."""
     return f"rgb({colour[0]},{colour[1]},{colour[2]})"
@@ -477,7 +487,7 @@ class Scene:
             "forces",
             "add_arrows",
             arrows,
-            split_colour(FORCE_COLOUR),
+            linearise(split_colour(FORCE_COLOUR)),  # viser 1.1 does not decode this colour
             shaft_radius=0.025 * self._size,
             head_radius=0.06 * self._size,
             head_length=0.11 * self._size,

@@ -17,6 +17,7 @@ from pupper_analysis.tools.live.model import PageSolver
 from pupper_analysis.tools.live.scene import (
     OUTSIDE_COLOUR,
     Scene,
+    linearise,
     make_body_meshes,
     make_force_arrows,
 )
@@ -62,7 +63,7 @@ def test_forces_polygon_and_com_have_the_colours_of_the_figures() -> None:
     Scene(drawn).show(answer)
     assert drawn.nodes["/support"].color == (0, 114, 178) == tuple(bytes.fromhex("0072B2"))
     assert drawn.nodes["/com"].color == (0, 158, 115)
-    assert drawn.nodes["/forces"].arguments[1] == (213, 94, 0)
+    assert drawn.nodes["/forces"].arguments[1] == linearise((213, 94, 0)) == (170, 29, 0)
     outside = model.solve_state(State("offset", offset=(40.0, 20.0), swing={"FL": 20.0}))
     assert outside.stand is not None
     assert outside.statics is None
