@@ -28,7 +28,7 @@ from pupper_analysis.base.errors import OutputError
 from pupper_analysis.present import colours
 from pupper_analysis.present.document import Axis, LinePlot, Name, Series, get_english
 from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.figures import drawing
+from pupper_analysis.present.figures import drawing, pose
 from pupper_analysis.present.figures.pose import (
     compute_skeleton,
     make_pose_figure,
@@ -520,3 +520,37 @@ def test_logarithmic_axes_have_at_least_three_round_ticks(
 ) -> None:
     """Reference: by hand. An axis from 3.6 to 18 had the ticks 5 and 10 only."""
     assert round_log_ticks(low, high) == pytest.approx(ticks)
+
+
+@pytest.mark.parametrize(
+    ("longest", "length"), [(0.0021, 0.002), (0.3, 0.2), (0.5, 0.5), (7.0, 5.0), (1e-4, 1e-4)]
+)
+def test_scale_bar_has_a_round_length_for_each_size_of_robot(longest: float, length: float) -> None:
+    """Reference: by hand. The longest bar was 1 m, the shortest 1 mm."""
+    assert drawing.choose_bar_length(longest) == pytest.approx(length)
+
+
+def test_forces_and_scale_of_a_robot_with_a_small_support_polygon_are_visible() -> None:
+    """Reference: lengths relative to the view. The arrows of a humanoid were hidden by the feet.
+
+    The second support polygon is ten times smaller.
+    """
+    robot, stand = load("v3"), stand_of("v3")
+    statics = pa.stance.stand_statics(robot, stand)
+    seen = describe_scene(robot, stand, statics)
+    for factor in (1.0, 0.1):
+        narrow = replace(seen, polygon=factor * seen.polygon)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(pose, "describe_scene", lambda *_, narrow=narrow: narrow)
+            figure = make_pose_figure(robot, stand, statics)
+        axes = figure.axes[0]
+        height = float(np.ptp(axes.get_ylim()))
+        arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
+        tails, tips = (
+            np.array([place for arrow in arrows for place in (getattr(arrow, name),)])
+            for name in ("xyann", "xy")
+        )
+        assert np.linalg.norm(tips - tails, axis=1).min() > 0.05 * height
+        (bar,) = (part for part in axes.artists if isinstance(part, AnchoredSizeBar))
+        (line,) = bar.size_bar.get_children()
+        assert line.get_width() > 0.1 * float(np.ptp(axes.get_xlim()))

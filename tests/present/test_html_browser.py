@@ -32,13 +32,24 @@ def test_long_names_of_first_columns_do_not_cover_numbers_on_a_phone(
     """Reference: boxes of the words and of the cell. A name of 40 characters covered a column."""
     name = "prototype_two_carbon_fibre_leg_front_r_3"
     columns = (Column(Name("joint"), left=True), Column(Name("torque"), "N m"))
-    table = Table(Name("torques"), columns, ((Name(name), number_cell(1.0, ".3f")),))
-    pa.report.write_report(table, tmp_path / "report.html")
+    rows = tuple((Name(word), number_cell(1.0, ".3f")) for word in (name, "utilisation"))
+    tables = [
+        Table(Name("torques"), columns, rows),
+        Table(
+            Name("wide"),
+            (*columns, *(columns[1:] * 6)),
+            tuple((*row, *(row[1:] * 6)) for row in rows[1:]),
+        ),
+    ]
+    pa.report.write_report(tables, tmp_path / "report.html")
     one = Opened(browser, tmp_path / "report.html", viewport={"width": 375, "height": 812})
     cell = one.page.locator("tbody th").first
     words = cell.locator(".name").bounding_box()
     box = cell.bounding_box()
     assert words["x"] + words["width"] <= box["x"] + box["width"]
+    # A short name is on one line, also in a wide table.
+    short, wide = (one.page.locator("tbody th .name").nth(index) for index in (1, 2))
+    assert wide.bounding_box()["height"] == short.bounding_box()["height"]
     one.close()
 
 

@@ -7,6 +7,7 @@ contains parts that other figures share.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -316,6 +317,12 @@ def title_panel(axes: Axes, title: str) -> None:
     axes.tick_params(labelsize=FONT_SIZE)
     for spine in ("top", "right"):
         axes.spines[spine].set_visible(False)
+
+
+def choose_bar_length(longest: float) -> float:
+    """Return the length of a scale bar [m]: 1, 2 or 5 times a power of 10, at most ``longest``."""
+    power = 10.0 ** math.floor(math.log10(longest))
+    return max(factor * power for factor in (1, 2, 5) if factor * power <= longest)
 
 
 def shorten_names(names: Sequence[str]) -> list[str]:

@@ -315,6 +315,10 @@ _MAX_ARROW_RATIO = 0.35
 """Length of the arrow of the largest contact force, divided by the longer horizontal side of the
 box around the support polygon [1]. Chosen, not tuned.
 """
+_MIN_ARROW_SIZE = 0.1
+"""Smallest length of the arrow of the largest contact force, divided by the size of the robot [1]:
+the support polygon of a humanoid is small. Chosen, not tuned.
+"""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 """Dark and light colour of limbs. In a stand, the legs on the side of the viewer are dark, other
 limbs are light."""
@@ -414,10 +418,12 @@ def make_pose_figure(
         parse_math=False,
     )  # fmt: skip
     bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
+    size = float(np.ptp(lines.points(), axis=0).max())
+    longest = max(_MAX_ARROW_RATIO * _measure_support(seen), _MIN_ARROW_SIZE * size)
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
         axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, bottom - 0.18))
         _draw_stand(axes, projection, lines, stand, seen)
-        _draw_forces(axes, projection, seen)
+        _draw_forces(axes, projection, seen, longest)
         _mark_front(axes, projection, lines.forward)
         names = _write_feet(axes, projection, lines, robot.feet)
         forces = f", forces up to {_find_largest_force(seen):.3g} N" if seen.contacts else ""
@@ -712,13 +718,14 @@ def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> N
         axes.add_patch(PathPatch(Path2D.make_compound_path(*paths), **style))
 
 
-def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
+def _draw_forces(axes: Axes, projection: Array, seen: StandingScene, longest: float) -> None:
     """Draw contact forces as arrows that end at the contacts, in a parallel projection.
 
+    The arrow of the largest force has the length ``longest`` [m] in the world.
     The matrix ``projection``, shape (2, 3), maps positions in the world [m] to the image.
     """
     largest = _find_largest_force(seen)
-    scale = _MAX_ARROW_RATIO * _measure_support(seen) / largest if largest else 0.0
+    scale = longest / largest if largest else 0.0
     arrow = {
         "arrowstyle": "-|>",
         "color": colours.FORCE_COLOUR,
@@ -755,9 +762,9 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
     The bar is to scale for lengths from left to right in the view.
     """
     width = float(np.ptp(axes.get_xlim()))
-    limit = min(0.6 * _measure_support(seen) or 0.3 * width, _MAX_BAR_RATIO * width)
-    fitting = (length for length in _SCALE_LENGTHS if length <= limit)
-    length = max(fitting, default=_SCALE_LENGTHS[0])
+    limit = max(0.6 * _measure_support(seen), _MIN_BAR_RATIO * width)
+    limit = min(limit, _MAX_BAR_RATIO * width)
+    length = drawing.choose_bar_length(limit)
     low, high = axes.get_ylim()
     axes.set_ylim(low - 0.12 * (high - low), high)  # room below the feet
     label = f"{1e3 * length:g} mm"
@@ -767,9 +774,7 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
     axes.add_artist(bar)
 
 
-_MAX_BAR_RATIO = 0.55
-"""Largest length of the scale bar, relative to the width of the view [1]: the arrow that marks the
-front begins at `_FRONT_ARROW_PLACE`. Chosen, not tuned.
+_MIN_BAR_RATIO, _MAX_BAR_RATIO = 0.3, 0.55
+"""Smallest and largest length of the scale bar before rounding down, relative to the width of the
+view [1]. The arrow that marks the front begins at `_FRONT_ARROW_PLACE`. Chosen, not tuned.
 """
-_SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Possible lengths of the scale bar [m]. Chosen, not tuned."""

@@ -31,7 +31,7 @@ from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, add_geom, compile_spec
 from pupper_analysis.models.shapes import get_mesh, read_shape
 from pupper_analysis.present.document import format_widened
-from pupper_analysis.present.figures.drawing import save_figure
+from pupper_analysis.present.figures.drawing import choose_bar_length, save_figure
 from pupper_analysis.present.figures.pose import (
     Skeleton,
     compute_skeleton,
@@ -471,8 +471,7 @@ def _draw_scale_bar(canvas: Axes, tile: Tile, picture_height: int) -> None:
     by the cosine of `CAMERA_ELEVATION`.
     """
     longest = _MAX_BAR_LENGTH * tile.width / tile.scale
-    power = 10.0 ** math.floor(math.log10(longest))
-    length = max(factor * power for factor in (1, 2, 5) if factor * power <= longest)
+    length = choose_bar_length(longest)
     start = tile.left + _TILE_MARGIN * tile.width / 2
     end, level = start + length * tile.scale, picture_height - 0.4 * _BAR_MARGIN * tile.width
     thick = 0.006 * tile.width * 72 / _PICTURE_DPI
