@@ -82,12 +82,13 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 
 
 @draw_result.register(Equilibrium)
-def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
+def draw_equilibrium(statics: Equilibrium, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
-    Known utilisations are beside the bars.
+    Known utilisations are beside the bars. The title contains the name of ``robot``, if given.
     """
-    axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
+    title = "Static motor torques" if robot is None else f"{robot.name}: static motor torques"
+    axes = make_axes(title, 1.1 + _ROW_HEIGHT * len(statics.joint_names))
     torques = statics.joint_torques.tolist()
     bars = axes.barh(statics.joint_names, torques, color=BLUE_COLOUR)
     shares = statics.motor_utilisation.tolist()
@@ -103,5 +104,5 @@ def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes
         meaning = "with the utilisation of each known torque limit"
     else:
         meaning = "with the utilisation of the torque limit"
-    axes.set_xlabel(f"torque (N m; slides: N), {meaning}")
+    axes.set_xlabel(f"torque (N m; slides: N)\n{meaning}")
     return (axes,)

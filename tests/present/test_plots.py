@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import Result
@@ -78,6 +79,11 @@ def test_plot_of_a_comparison_contains_each_deviation() -> None:
     }
     assert drawn == {*filter(None, expected), comparison.check.tolerance}
     assert axes.get_xscale() == "log"
+    # No mark covers another mark: equal deviations were drawn at the same place.
+    places = [place for line in axes.lines[:-1] for place in map(tuple, line.get_xydata())]
+    assert len({*places}) == len(places)
+    rows = {round(float(place[1])) for place in places}
+    assert rows == {*range(len(axes.get_yticklabels()))}
 
 
 @pytest.mark.slow
@@ -136,6 +142,14 @@ def test_plot_of_statics_has_a_bar_per_motor_with_its_utilisation() -> None:
     expected = [f"{100 * abs(torque) / 3:.0f} %" for torque in statics.joint_torques]
     assert [text.get_text() for text in axes.texts] == expected
     assert axes.get_xlabel().endswith("with the utilisation of the torque limit")
+    (named,) = statics.plot(robot)
+    figure = named.get_figure()
+    assert isinstance(figure, Figure)
+    assert figure.get_suptitle() == "v3: static motor torques"
+    # With names of 40 letters, the words below the axis were cut.
+    named.set_yticks(range(robot.nu), ["x" * 40] * robot.nu)
+    figure.draw_without_rendering()
+    assert named.xaxis.label.get_window_extent().x1 <= figure.bbox.x1
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -458,6 +460,12 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
     return doc.number_cell(relative, ".1e", "bad" if beyond else "")
 
 
+_SIDES_HEIGHT = 0.5
+"""Distance between the first and the last mark of a quantity, relative to the distance of the rows
+[1]: equal deviations would cover each other. Chosen, not tuned.
+"""
+
+
 @draw_result.register(Comparison)
 def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
     """Plot the largest relative deviation of each quantity between models and between engines."""
@@ -472,15 +480,18 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
     title = get_english(make_figure_title(make_document(comparison)))
     axes = make_axes(title, 0.16 * len(names) + 1.6)
     styles = zip(itertools.cycle("osv^Dx"), itertools.cycle(SERIES_COLOURS))
-    for side, (marker, colour) in zip(sides, styles, strict=False):
+    rows = np.arange(len(names), dtype=float)
+    shifts = _SIDES_HEIGHT * np.linspace(-0.5, 0.5, max(len(sides), 2))
+    for side, shift, (marker, colour) in zip(sides, shifts, styles, strict=False):
         deviations = [
             quantity.edge_deviations.get(side) or math.nan for quantity in check.quantities
         ]
         label = get_english(word(side))
-        axes.plot(deviations, names, marker, color=colour, label=label, alpha=0.8)
+        axes.plot(deviations, rows + shift, marker, color=colour, label=label, ms=4)
     tolerance = f"tolerance {check.tolerance:g}"
     axes.axvline(check.tolerance, color="black", ls="--", lw=1, label=tolerance)
     axes.set(xscale="log", xlabel="largest relative deviation (1); zeros are left out")
+    axes.set_yticks(rows, names)
     axes.invert_yaxis()
     handles, labels = axes.get_legend_handles_labels()
     axes.figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
