@@ -21,7 +21,6 @@ from pupper_analysis.models.shapes import Mesh, Shape
 from pupper_analysis.present.colours import (
     COM_COLOUR,
     FORCE_COLOUR,
-    ORANGE_COLOUR,
     SUPPORT_COLOUR,
     split_colour,
 )
@@ -150,8 +149,10 @@ def triangulate_shape(shape: Shape) -> Mesh:
 GHOST_COLOUR: Colour = (110, 130, 150)
 """Colour of the transparent figure in the nearest reachable stance."""
 
-TWIN_COLOUR: Colour = split_colour(ORANGE_COLOUR)
-"""Colour of the second figure, which shows a simulated motion. Not the colour of forces."""
+TWIN_COLOUR: Colour = (226, 120, 30)
+"""Colour of the second figure, which shows a simulated motion: with more red than the shell of
+Pupper v3, which resembles the orange of Okabe and Ito.
+"""
 
 OUTSIDE_COLOUR: Colour = (200, 30, 40)
 """Colour of the CoM if the CoM margin is negative, and of a support polygon in which the stance is

@@ -312,8 +312,8 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Return a range of values as text, such as ``2-5``; one value if both texts are equal."""
-    return "-".join(dict.fromkeys(f"{float(value):g}" for value in (values.min(), values.max())))
+    """Return a range of values as text, such as ``-2..5``; one value if both texts are equal."""
+    return "..".join(dict.fromkeys(f"{float(value):g}" for value in (values.min(), values.max())))
 
 
 def _describe_outcome(gait: Gait) -> doc.Words:

@@ -136,7 +136,8 @@ def test_orders_of_a_robot_with_an_assumed_mass_do_not_pass() -> None:
 
 def test_range_of_values_with_equal_digits_is_a_single_number() -> None:
     assert _format_range(np.array([5.0, 5.0 + 1e-9])) == "5"
-    assert _format_range(np.array([2.0, 5.0, 3.0])) == "2-5"
+    assert _format_range(np.array([2.0, 5.0, 3.0])) == "2..5"
+    assert _format_range(np.array([-0.52, 0.52])) == "-0.52..0.52"
 
 
 @pytest.mark.parametrize(
