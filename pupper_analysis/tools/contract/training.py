@@ -104,6 +104,31 @@ def list_observation_terms(group: LocatedValue) -> Iterator[ObservedTerm]:
             )
 
 
+def describe_partial_terms(
+    group: LocatedValue, action_joints: tuple[str, ...]
+) -> dict[str, Diagnostic]:
+    """Return {quantity: message} of observation terms with other joints than the action.
+
+    In Isaac Lab and mjlab, ``asset_cfg`` of a term may select joints (``joint_names``, patterns).
+
+    Args:
+        group: Observation terms, as for `list_observation_terms`.
+        action_joints: Joint names or patterns of the action.
+    """
+    terms, unread = group.get("terms"), dict[str, Diagnostic]()
+    for name, term in (terms if terms.table else group).table.items():
+        joints = term.get("params", "asset_cfg", "joint_names")
+        if joints.value is not None and joints.texts not in ((".*",), action_joints):
+            unread[f"observation {name}"] = diagnose(
+                "contract-term-unread",
+                file=str(joints.place),
+                term=str(name),
+                operation="joint_names",
+                sources=joints.place.source,
+            )
+    return unread
+
+
 def is_trainer_config(root: LocatedValue) -> bool:
     """Return True if a table is the training configuration of a policy, as of legged_gym.
 
@@ -186,7 +211,11 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
         get_class_name(instance) == "EntityCfg" or "target_names_expr" in instance.table
         for instance in instances
     )
-    observations = tuple(list_observation_terms(root.find_first("observations")))
+    observed = root.find_first("observations")
+    observations = tuple(list_observation_terms(observed))
+    # A text of a Python file may be an expression; a text of a table is no number.
+    unread = _describe_texts(statements) if isinstance(root.value, dict) else {}
+    unread |= describe_partial_terms(observed, order.texts if order is not None else ())
     if robots or actions:
         yield JointSource(
             name,
@@ -198,8 +227,7 @@ def read_configuration(name: str, path: Path, root: LocatedValue) -> Iterator[Jo
             motor_names=motors,
             breadth_first=not mjlab,
             observations=observations,
-            # A text of a Python file may be an expression; a text of a table is no number.
-            unread=_describe_texts(statements) if isinstance(root.value, dict) else {},
+            unread=unread,
         )
 
 

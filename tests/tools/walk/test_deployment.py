@@ -23,6 +23,7 @@ from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sourc
 from pupper_analysis.tools.walk.runs import Observer, prepare_stage, replace_efforts
 from pupper_analysis.tools.walk.template import write_template
 from tests.support.commands import run_command
+from tests.support.legged import rewrite_file
 from tests.support.variants import load
 from tests.tools.contract.sources import ANGLES, JOINTS, format_list, write_all
 from tests.tools.walk import made
@@ -197,6 +198,21 @@ def test_files_of_trainers_and_controllers_are_read(
         terms = ["angular-velocity", "joint-positions", "last-action"]
         assert [term.name for term in contract.terms] == terms
         assert contract.terms[0].scale == 0.25
+
+
+@pytest.mark.parametrize(("joints", "is_read"), [('[".*"]', True), ('[".*_1"]', False)])
+def test_observation_of_some_joints_is_refused(tmp_path: Path, joints: str, is_read: bool) -> None:
+    """Isaac Lab observes only the joints of ``asset_cfg``: 4 numbers, not 12."""
+    source, path, robot = write_all(tmp_path)["mjlab_cfg.py"], tmp_path / "own.onnx", load("v3")
+    path.write_bytes(made.dense_onnx([(np.zeros((27, 12)), np.zeros(12))], "Tanh"))
+    selected = f'params={{"asset_cfg": SceneEntityCfg("robot", joint_names={joints})}}'
+    rewrite_file(source, ("mdp.joint_pos_rel)", f"mdp.joint_pos_rel, {selected})"))
+    if is_read:
+        deployment = read_deployment(robot, [source], path)
+        assert [term.name for term in deployment.observations][1] == "joint_pos_rel"
+    else:
+        with pytest.raises(ModelError, match="joint_names of the observation term angles"):
+            read_deployment(robot, [source], path)
 
 
 STACKED = """
