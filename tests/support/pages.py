@@ -5,8 +5,8 @@ A block that cannot run is marked in its page with a reason: ``<!-- not run: REA
 line above it; ``<!-- not run 'WORDS': REASON -->`` excludes only the lines with these words. A
 block of a Chinese page that equals one of the English page, with the same output, runs once. A
 command whose line ends with ``# exits 1`` must exit with 1. The text block below a block is its
-output, where ``...`` stands for any text. ``own_files.py`` writes the files that the reader would
-have.
+output: each of its lines is a whole printed line, where ``...`` is any text. ``own_files.py``
+writes the files that the reader would have.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def blocks_of(page: Path) -> list[Block]:
         return [
             one
             for one in found
-            if one.text not in theirs or find_missing_parts("".join(one.output), theirs[one.text])
+            if one.text not in theirs or find_missing_lines("".join(one.output), theirs[one.text])
         ]
     return found
 
@@ -270,11 +270,17 @@ def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
     return out.getvalue()
 
 
-def find_missing_parts(shown: str, printed: str) -> list[str]:
-    """Return the parts of the shown lines that were not printed, ignoring white space."""
-    flat = " ".join(printed.split())
-    parts = [part for line in shown.splitlines() for part in line.split("...")]
-    return [part for part in parts if " ".join(part.split()) not in flat]
+def find_missing_lines(shown: str, printed: str) -> list[str]:
+    """Return the shown lines that equal no printed line; ``...`` is any text of a line."""
+    lines = [" ".join(line.split()) for line in printed.splitlines()]
+
+    def is_printed(line: str) -> bool:
+        parts = [re.escape(" ".join(part.split())) for part in line.split("...")]
+        pattern = r"\s*.*?\s*".join(parts)
+        return any(re.fullmatch(pattern, one) for one in lines)
+
+    wanted = [line for line in shown.splitlines() if line.strip(" ─")]
+    return [line for line in wanted if not is_printed(line)]
 
 
 def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
@@ -310,6 +316,6 @@ def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
             )
             count["command"] += 1
         for shown in block.output if printed else ():
-            missing = find_missing_parts(shown, printed)
+            missing = find_missing_lines(shown, printed)
             assert not missing, f"{where} does not print {missing}, but:\n{printed}"
     return count

@@ -205,5 +205,6 @@ def _run_study(
     try:
         study.execute(folder, executor=executor, workers=workers, progress=show)
     except BaseException:
-        click.echo(f"what is done is kept in {folder}: the same command goes on there", err=True)
+        done = f"{folder} contains the finished designs: run the same command to continue"
+        click.echo(done, err=True)
         raise

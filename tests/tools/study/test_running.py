@@ -553,7 +553,7 @@ def test_interrupted_study_can_be_resumed_and_leaves_no_process(tmp_path: Path) 
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does it, to all of them
     _, err = process.communicate(timeout=300)  # a guard against hanging
     assert process.returncode == 130
-    assert "the same command goes on there" in err
+    assert "run the same command to continue" in err
     assert "interrupted" in err
     assert "Traceback" not in err
     assert 0 < rows_of(folder) < 400
