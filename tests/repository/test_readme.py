@@ -129,7 +129,9 @@ def test_commands_have_the_options_that_pages_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "crouch.toml").write_text("height = '12cm'\n")  # the one file that is read at once
+    # The files of --stance are read at once.
+    (tmp_path / "crouch.toml").write_text("height = '12cm'\n")
+    (tmp_path / "best.json").write_text('{"stand": {"task": {"height": 0.12}}}')
     named = {command for page in PAGES for command in commands(page.read_text())}
     assert named
     for command in named:
