@@ -209,16 +209,18 @@ SHORTER_SEARCHES = {
     r"pupper-analysis best payload v3 .*": "pupper-analysis best utilisation v3",
     r"(pupper-analysis push (?!.*--directions).*)": r"\1 --directions 3 --resolution 0.2",
     r"(pupper-analysis walk .*--seeds) 20\b": r"\1 2",
-    r"(pupper-analysis walk .*--(?:vary|orders)\b.*)": r"\1 --seconds 3",
+    r"(pupper-analysis walk .*--(?:vary|orders|response)\b.*)": r"\1 --seconds 3",
     r"(pupper-analysis walk .*)--seeds 5\b": r"\1--seeds 1",
     r"seeds=5\)": "seeds=1, seconds=3)",
+    r"map_response\(robot, policy\)": "map_response(robot, policy, seconds=3)",
     r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
 }
 """Shorter runs, and fewer initial states or directions, of searches over a walk or a push; a
 shorter search of the best stance, since the page of ``best`` runs its longest search; and two
 variants, one of which fails, in place of all six: tests/cli/test_cli.py runs all six.
 {pattern: replacement}. The pages state no numbers of these commands; the numbers are asserted by
-tests/tools/walk/test_changes.py and tests/tools/push/test_recovery.py."""
+tests/tools/walk/test_changes.py, tests/tools/walk/test_response.py and
+tests/tools/push/test_recovery.py."""
 
 
 def shorten_block(text: str) -> str:
