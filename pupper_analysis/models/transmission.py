@@ -7,7 +7,7 @@ actuator from these laws, for example servo, motor, velocity servo or no actuato
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -332,6 +332,44 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
         return Drive.SERVO if stiffness > 0 else Drive.WRONG_SIGN
     return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
+
+def list_falling_base_joints(model: mujoco.MjModel, added: Collection[str] = ()) -> list[int]:
+    """Return the ids of the undriven joints of the base if the base falls along one of them.
+
+    Planar robots, such as a hopper, have slides and a hinge between the world and the torso. The
+    base falls along a slide without actuator, range and spring, whose axis at ``qpos0`` is not
+    perpendicular to gravity. If no joint has an actuator, the result is empty.
+
+    Args:
+        model: Model.
+        added: Names of the joints whose actuators are not in the file.
+    """
+
+    def is_driven(joint: int) -> bool:
+        name = model.joint(joint).name
+        return name not in added and classify_joint_drive(model, joint) is not Drive.NONE
+
+    if not any(map(is_driven, range(model.njnt))):
+        return []
+    for body in np.flatnonzero(model.body_parentid == 0)[1:].tolist():
+        first = int(model.body_jntadr[body])
+        joints = [*range(first, first + int(model.body_jntnum[body]))]
+        for joint in joints:
+            axis = np.zeros(3)
+            mujoco.mju_rotVecQuat(axis, model.jnt_axis[joint], model.body_quat[body])
+            if (
+                model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+                and not (model.jnt_limited[joint] or np.any(model.jnt_stiffness[joint]))
+                and abs(axis @ model.opt.gravity) > _MIN_GRAVITY
+                and not is_driven(joint)
+            ):
+                return [joint for joint in joints if not is_driven(joint)]
+    return []
+
+
+_MIN_GRAVITY = 1e-6
+"""Bound of the acceleration of gravity along a slide [m/s^2], above which a base falls. Chosen, not
+tuned: above rounding of an inclined axis."""
 
 _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS

@@ -44,7 +44,11 @@ from pupper_analysis.models.efforts import (
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import source_name
-from pupper_analysis.models.transmission import group_actuators_by_joint
+from pupper_analysis.models.transmission import (
+    Drive,
+    group_actuators_by_joint,
+    list_falling_base_joints,
+)
 from pupper_analysis.robot.closure import Closure, find_closure
 from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
@@ -749,10 +753,26 @@ class Robot(EngineModels):
             places = (source_name(Path(place.file), place.line) for place in why.sources)
             raise ModelError(next(places, self.description.urdf_source), why)
         if not self.floating:
+            self.check_base_is_held()
             option = is_command_line()
             problem = diagnose(
                 code, robot=self.name, why=why, option=option, advised=option and why is None
             )
+            raise ConfigurationError("robot", problem)
+
+    def check_base_is_held(self) -> None:
+        """Raise an error if the base falls along a joint without motor (planar robots).
+
+        Raises:
+            ConfigurationError: If the base falls.
+        """
+        if self.floating:
+            return
+        model, made = self.before_servos.mj_model, self.before_servos.description.made_servos
+        added = {servo.joint for servo in made if servo.instead_of is Drive.NONE}
+        falling = list_falling_base_joints(model, added)
+        if names := tuple(model.joint(joint).name for joint in falling):
+            problem = diagnose("base-moves-on-joints", robot=self.name, joints=names)
             raise ConfigurationError("robot", problem)
 
     def check_bodies(self) -> None:

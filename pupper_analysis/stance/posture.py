@@ -70,10 +70,11 @@ def check_fixed_base(robot: Robot) -> None:
     """Check that the base of a robot is fixed to the world; raise an error otherwise.
 
     Raises:
-        ConfigurationError: If the base is free.
+        ConfigurationError: If the base is free, or falls along a joint without motor.
     """
     if robot.floating:
         raise ConfigurationError("robot", diagnose("base-is-free", robot=robot.name))
+    robot.check_base_is_held()
 
 
 @check_arguments

@@ -114,3 +114,26 @@ def test_follower_with_a_wide_range_does_not_move_the_leader_out_of_its_range(
     path.write_text(f'<robot name="gripper"><link name="palm"/>{fingers}</robot>')
     posture = find_posture(pa.load_robot(path, fixed_base=True))
     np.testing.assert_allclose(posture.qpos, 0.07, atol=1e-9)
+
+
+def test_base_that_falls_on_undriven_joints_is_not_held() -> None:
+    """A planar hopper was held by a servo that was added to its vertical slide."""
+    robot = pa.load_robot(mjcf=PLANAR)
+    message = "its base falls on the joints rise, tilt, which no motor drives"
+    with pytest.raises(ConfigurationError, match=message):
+        find_posture(robot)
+    robot.complete_stages()
+    assert {servo.joint for servo in robot.description.made_servos} >= {"rise", "tilt"}
+    with pytest.raises(ConfigurationError, match=message):
+        find_posture(robot)
+    with pytest.raises(ConfigurationError, match=message):
+        pa.solve_stand(robot)
+
+
+PLANAR = """<mujoco model="hopper"><worldbody><body name="torso" pos="0 0 1">
+  <joint name="rise" type="slide" axis="0 0 1"/><joint name="tilt" axis="0 1 0"/>
+  <geom size="0.1" mass="1"/><body name="shin" pos="0 0 -0.3">
+  <joint name="knee" axis="0 1 0" range="-1 1" limited="true"/>
+  <geom size="0.05" mass="0.1"/></body></body></worldbody>
+  <actuator><motor joint="knee" ctrlrange="-9 9" ctrllimited="true"/></actuator></mujoco>"""
+"""Robot whose torso rises and tilts without motors."""
