@@ -333,6 +333,29 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
 
+def list_play_joints(model: mujoco.MjModel) -> list[int]:
+    """Return the ids of the hinges that model the play (backlash) of a gear.
+
+    Such a hinge has no actuator, and the axis of a hinge with actuator on the same body.
+    """
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
+    is_driven = {hinge: classify_joint_drive(model, hinge) is not Drive.NONE for hinge in hinges}
+
+    def is_coaxial(first: int, second: int) -> bool:
+        return bool(
+            model.jnt_bodyid[first] == model.jnt_bodyid[second]
+            and np.allclose(model.jnt_pos[first], model.jnt_pos[second])
+            and np.allclose(np.cross(model.jnt_axis[first], model.jnt_axis[second]), 0.0)
+        )
+
+    return [
+        hinge
+        for hinge in hinges
+        if not is_driven[hinge]
+        and any(is_driven[other] and is_coaxial(hinge, other) for other in hinges)
+    ]
+
+
 def list_falling_base_joints(model: mujoco.MjModel, added: Collection[str] = ()) -> list[int]:
     """Return the ids of the undriven joints of the base if the base falls along one of them.
 

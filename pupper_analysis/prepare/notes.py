@@ -17,6 +17,7 @@ from pupper_analysis.models.transmission import (
     MadeServo,
     fixed_tendon_levers,
     is_at_one_joint,
+    list_play_joints,
     list_tendon_joints,
 )
 from pupper_analysis.prepare.feet import Foot, has_ellipsoids, is_ball
@@ -209,6 +210,14 @@ def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
         return
     names = [model.actuator(actuator).name or f"#{actuator}" for actuator in actuators]
     yield diagnose("motors-commanded-zero", motors=names)
+
+
+def report_play_joints(robot: Robot) -> Iterator[Diagnostic]:
+    """Yield a message about the hinges that model the play of gears (`list_play_joints`)."""
+    model = robot.mj_model
+    names = tuple(model.joint(joint).name for joint in list_play_joints(model))
+    if names:
+        yield diagnose("joints-are-play", joints=names)
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:

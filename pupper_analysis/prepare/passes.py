@@ -668,12 +668,13 @@ def _choose_solver(draft: Draft) -> PassOutput:
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
-    """Report coupled joints and uncommanded actuators in notes; return the unchanged draft.
+    """Report coupled and play joints and uncommanded actuators; return the unchanged draft.
 
     An uncommanded actuator does not act on a single hinge or slide.
     """
     return draft, (
         *notes.report_coupled_joints(draft.robot),
+        *notes.report_play_joints(draft.robot),
         *notes.report_uncommanded_actuators(draft.robot),
     )
 

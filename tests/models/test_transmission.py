@@ -9,6 +9,7 @@ from pupper_analysis.models.transmission import (
     Drive,
     classify_joint_drive,
     list_falling_base_joints,
+    list_play_joints,
     list_tendon_servos,
 )
 
@@ -64,3 +65,20 @@ def test_file_without_actuators_has_no_falling_base() -> None:
     )
     assert list_falling_base_joints(model) == []
     assert list_falling_base_joints(model, {"slide"}) == [0, 1]
+
+
+def test_coaxial_hinge_without_motor_is_play() -> None:
+    """The play does not change the motion: in bare MuJoCo, only the sum of both angles does."""
+    play = '<joint name="{}" axis="{}" pos="{}"/>'
+    joints = play.format("play", "0 -1 0", "0 0 0") + play.format("other", "1 0 0", "0 0 0")
+    joints += play.format("apart", "0 1 0", "0 0 0.1")
+    text = _make_planar_robot("0 0 1").replace("</body></body>", joints + "</body></body>")
+    model = mujoco.MjModel.from_xml_string(text)
+    assert [model.joint(joint).name for joint in list_play_joints(model)] == ["play"]
+    places = []
+    for knee, turned in ((0.3, 0.0), (0.5, 0.2)):
+        data = mujoco.MjData(model)
+        data.joint("knee").qpos, data.joint("play").qpos = knee, turned
+        mujoco.mj_kinematics(model, data)
+        places.append(data.xmat[2])
+    assert places[0] == pytest.approx(places[1])
