@@ -147,14 +147,15 @@ def test_view_draws_and_turns_the_robot(opened: Opened) -> None:
 
 
 def test_shapes_of_a_view_can_be_hidden(opened: Opened) -> None:
-    """Reference: the share of yellow pixels, which the torso has."""
+    """Reference: the share of yellow pixels, which torso and arrows of forces have."""
     canvas = get_canvas(opened)
     shapes = opened.page.locator("[data-layer=shapes]")
+    opened.page.locator("[data-layer=forces]").uncheck()
     assert share_of_torso(opened.pixels(canvas)) > 0.005
     shapes.uncheck()
     hidden = share_of_torso(opened.pixels(canvas))
     shapes.check()
-    assert hidden < 0.003
+    assert hidden < 0.001
     assert share_of_torso(opened.pixels(canvas)) > 0.005
 
 
