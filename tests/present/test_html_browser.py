@@ -157,6 +157,7 @@ def test_shapes_of_a_view_can_be_hidden(opened: Opened) -> None:
     shapes.check()
     assert hidden < 0.001
     assert share_of_torso(opened.pixels(canvas)) > 0.005
+    opened.page.locator("[data-layer=forces]").check()
 
 
 def test_view_is_drawn_completely_below_the_navigation(opened: Opened) -> None:
@@ -227,9 +228,11 @@ def test_view_highlights_and_describes_a_selected_joint(opened: Opened) -> None:
     message = opened.page.locator(".hint").inner_text()
     assert message.startswith("leg_front_r_2: roll; position ")
     assert "torque -0.200 N m / 3 N m" in message
-    lit = opened.pixels(canvas)
-    orange = (lit[..., 0] > 190) & (lit[..., 1] < 140) & (lit[..., 2] < 70)
-    assert orange.sum() > ((dark[..., 0] > 190) & (dark[..., 1] < 140) & (dark[..., 2] < 70)).sum()
+    blue = [  # the light blue of a highlighted axis, (86, 180, 233)
+        ((np.abs(picture - (86, 180, 233)) < 20).all(axis=-1)).sum()
+        for picture in (opened.pixels(canvas), dark)
+    ]
+    assert blue[0] > blue[1] + 20
     button.blur()
     assert opened.page.locator(".hint").inner_text().startswith("Drag to rotate")
 
