@@ -7,20 +7,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import orjson
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.plane import Contact, Weld
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.stance.problem import nominal_foot_positions
 from pupper_analysis.stance.start_file import walk_tables
 from pupper_analysis.stance.task import StandTask
 
 
 def format_stance(task: StandTask) -> str:
-    """Format a stand task as TOML text, the content of a file for ``--stance``."""
+    """Format a stand task as TOML text, the content of a file for ``--stance``.
+
+    The text does not contain the initial guess ``ik_seed``.
+
+    Raises:
+        ConfigurationError: If a requirement has no option (`express_by_options`).
+    """
+    _check_options(task, "stand")
     lines, tables = [], []
     for name, value in task.values().items():
         field = FIELDS[name]
@@ -34,6 +45,26 @@ def format_stance(task: StandTask) -> str:
         else:
             lines.append(f"{field.option} = {_format_stance_value(value, field.unit)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
+
+
+def express_by_options(robot: Robot, task: StandTask) -> StandTask:
+    """Return the stand task that a stance file for a robot can contain: only fields with an option.
+
+    Positions of feet become offsets from the nominal positions, equal to rounding. The initial
+    guess ``ik_seed`` is removed.
+    """
+    nominal = nominal_foot_positions(robot)
+    offsets = {
+        foot: tuple((np.array(place) - nominal[foot]).tolist()) for foot, place in task.feet.items()
+    }
+    return replace(task, feet={}, foot_offsets={**task.foot_offsets, **offsets}, ik_seed=None)
+
+
+def _check_options(task: StandTask, where: str) -> None:
+    """Raise an error for ``where`` if a requirement of a stand task has no option."""
+    for name, value in task.values().items():
+        if not FIELDS[name].help and value != FIELDS[name].default_value:
+            raise ConfigurationError(where, diagnose("stance-without-option", field=name))
 
 
 def _format_stance_value(value: Any, unit: str = "") -> str:
@@ -70,7 +101,5 @@ def read_task_of_results(file: str, text: str) -> StandTask:
         task = StandTask.from_dict({**given, "ik_seed": None})
     except ConfigurationError as error:
         raise ConfigurationError(file, error.diagnostic) from None
-    for name, value in task.values().items():
-        if not FIELDS[name].help and value != FIELDS[name].default_value:
-            raise ConfigurationError(file, diagnose("stance-without-option", field=name))
+    _check_options(task, file)
     return task

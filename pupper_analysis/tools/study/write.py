@@ -34,8 +34,9 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import FramePoint, split_place, with_payload
-from pupper_analysis.stance.stance_file import format_stance
+from pupper_analysis.stance.stance_file import express_by_options, format_stance
 from pupper_analysis.stance.stand import solve_stand
+from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import DesignBuilder, measure_columns
 from pupper_analysis.tools.study.measures import SET_DOWN_HEIGHT, Design, survives_set_down
 from pupper_analysis.tools.study.store import require_library
@@ -113,13 +114,14 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     codes = {name: variable.code_of(row[name]) for name, variable in study.variables.items()}
     design, bare = _build_design(study, codes, number)
     design_folder = Path(folder) / f"design-{number}"
-    urdf, mjcf, stance = _write_design_files(study, design, bare, design_folder)
+    task = express_by_options(bare, design.stand.task)
+    urdf, mjcf, stance = _write_design_files(study, task, bare, design_folder)
     loaded, options = _reload_files(bare, urdf, mjcf)
     payload = codes.get("payload", 0.0)
     if payload:
         loaded = with_payload(loaded, payload, design.point)
         options += ["--payload", f"{payload!r}kg", "--payload-at", format_place(design.point)]
-    stand = solve_stand(loaded, design.stand.task)
+    stand = solve_stand(loaded, task)
     reloaded = Design(
         loaded, stand, own_servos=design.own_servos, point=design.point, motors=design.motors
     )
@@ -167,9 +169,9 @@ def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tupl
 
 
 def _write_design_files(
-    study: Study, design: Design, bare: Robot, folder: Path
+    study: Study, task: StandTask, bare: Robot, folder: Path
 ) -> tuple[Path, Path, Path]:
-    """Write the models of the robot without payload ``bare``, and the stance.
+    """Write the models of the robot without payload ``bare``, and the stance of the task.
 
     Returns:
         Paths of the URDF, the MJCF and the stance.
@@ -177,7 +179,7 @@ def _write_design_files(
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
     contents = dict(_make_files(bare.description, packages))
     stance = Path("stance.toml")
-    contents[stance] = format_stance(design.stand.task).encode()
+    contents[stance] = format_stance(task).encode()
     write_all(
         [
             Writing(folder / place, content, MODEL_KIND)

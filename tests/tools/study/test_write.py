@@ -37,6 +37,15 @@ def write_studied_design(
     return write_design(study, number, folder)
 
 
+def read_values(stance: Path) -> dict[str, Any]:
+    """Read {field: value of the option} from a stance file."""
+    values = read_stance_file(stance)
+    for name, value in values.items():
+        if not (OPTION_FIELDS[name].per or OPTION_FIELDS[name].axes or OPTION_FIELDS[name].choices):
+            values[name] = shared.parse_measure(name, OPTION_FIELDS[name].kind, value, value)
+    return values
+
+
 @pytest.fixture(scope="module")
 def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
     """Write a v3 with longer legs, heavier hips and stiffer servos: the second of two designs."""
@@ -174,11 +183,28 @@ def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
         foot_offsets={"FL": (0.01, -0.02)}, swing={"FR": 0.03}, ground=pa.Ground(slope=0.1),
     )  # fmt: skip
     (tmp_path / "stance.toml").write_text(format_stance(task))
-    values = read_stance_file(tmp_path / "stance.toml")
-    for name, value in values.items():
-        if not (OPTION_FIELDS[name].per or OPTION_FIELDS[name].axes or OPTION_FIELDS[name].choices):
-            values[name] = shared.parse_measure(name, OPTION_FIELDS[name].kind, value, value)
-    assert make_task(values) == task
+    assert make_task(read_values(tmp_path / "stance.toml")) == task
+
+
+@pytest.mark.slow
+def test_written_stance_keeps_the_place_of_a_foot(tmp_path: Path) -> None:
+    """Reference: the required position (x, y) [m] of the foot, at which the printed command must
+    put its sphere; ``feet`` has no option, so that the file contains an offset.
+    """
+    place = (0.09, -0.07)
+    found = write_studied_design(
+        "v3", {"kp": [10.0]}, tmp_path, stand=pa.StandTask(feet={"FR": place})
+    )
+    assert found.passed
+    words = shlex.split(found.command)[1:]
+    targets = json.loads(answer(*words, "--json", "-").stdout)["stand"]["foot_targets"]
+    np.testing.assert_allclose(targets["FR"][:2], place, atol=1e-12)
+    assert targets["FL"][0] < 0.08  # the other feet keep their places
+
+
+def test_stance_without_option_is_refused() -> None:
+    with pytest.raises(pa.ConfigurationError, match="'feet', for which no option exists"):
+        format_stance(pa.StandTask(feet={"FR": (0.09, -0.07)}))
 
 
 @pytest.mark.slow
