@@ -76,6 +76,7 @@ def command(
     from pupper_analysis.tools.contract.document import (
         list_proposed_matches,
         make_contract_annotations,
+        select_next_step,
     )
 
     names = dict(shared.parse_assignment("map", pair) for pair in pairs)
@@ -84,7 +85,8 @@ def command(
     if style in ("text", "markdown"):
         matches = list_proposed_matches(result)
         words = [word for name, joint in matches.items() for word in ("--map", f"{name}={joint}")]
-        step = NextStep("contract", (*sources, *words)) if matches else None
+        again = NextStep("contract", (*sources, *words))
+        step = again if matches else select_next_step(result, sources)
         shared.show_results([("", result)], style, everything=everything, next_step=step)
     else:
         click.echo(

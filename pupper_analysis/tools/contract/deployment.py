@@ -37,6 +37,9 @@ from pupper_analysis.tools.contract.reading import (
     split_arguments,
 )
 
+SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
+"""Suffixes of files of a deployment or trainer that both `walk` and `contract` read."""
+
 _PRECEDENCE = (Role.DEPLOYMENT, Role.DRIVER, Role.POLICY, Role.TRAINER)
 """Roles of source files in order of precedence. If several files state a number, the number of the
 file with the earliest role is used.

@@ -26,8 +26,10 @@ from pupper_analysis.tools.contract.contract import (
     find_compared_numbers,
     is_uncompared,
 )
+from pupper_analysis.tools.contract.deployment import SOURCE_SUFFIXES
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Role, find_quantity_kind
 from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
+from pupper_analysis.tools.contract.reading import split_arguments
 
 MAX_SHOWN_FINDINGS = 25
 """Largest number of disagreements whose lines are shown in the short view. Chosen, not tuned."""
@@ -88,7 +90,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             *(() if is_brief or falls else (evidence,)),
         ),
         details=(evidence,) if is_brief or falls else (),
-        next_step=_select_next_step(contract),
+        next_step=select_next_step(contract),
         notes=tuple(map(doc.diagnostic_text, filterfalse(_is_list_note, contract.notes))),
     )
 
@@ -187,11 +189,15 @@ def _shorten_source(contract: Contract, name: str) -> doc.Words:
     return text("contract-file-of-suffix", suffix=suffix) if is_unique else doc.Name(name)
 
 
-def _select_next_step(contract: Contract) -> doc.NextStep:
+def select_next_step(contract: Contract, typed: Sequence[str] = ()) -> doc.NextStep:
     """Return the command to suggest next.
 
-    It is `crosscheck` of the models, `walk`, `gains` with the gains of a source (for example if
-    these gains do not hold the default pose), `stand` or `hold`.
+    It is `crosscheck` of the models, `walk` with the files of the deployment, `gains` with the
+    gains of a source (for example if these gains do not hold the default pose), `stand` or `hold`.
+
+    Args:
+        contract: Contract.
+        typed: Typed sources; ``FILE:NAME`` selects a configuration for `walk` as well.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
@@ -202,8 +208,9 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
     if differ and urdfs and contract.model not in urdfs:
         return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
     policies = [source.path for source in contract.sources if source.role == Role.POLICY]
-    if contract.findings and contract.floating and len(policies) == 1:
-        words = (contract.model, "--policy", policies[0])
+    files = _list_deployment_files(contract, typed)
+    if contract.findings and contract.floating and len(policies) == 1 and files is not None:
+        words = (contract.model, *files, "--policy", policies[0])
         return doc.NextStep("walk", words, robot_typed=False)
     gains = _format_shared_gains(contract)
     falls = any(pose.stays is False for pose in contract.poses)
@@ -214,6 +221,25 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
         return doc.NextStep("gains", model_and_gains, robot_typed=False, omitted=omitted)
     command = "stand" if contract.floating else "hold"
     return doc.NextStep(command, (contract.model,), robot_typed=False, omitted=omitted)
+
+
+def _list_deployment_files(contract: Contract, typed: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the words of the deployment and trainer files for `walk`; None if `walk` refuses one.
+
+    `walk` reads YAML and Python, and one configuration of each role per file.
+    """
+    stating = [s for s in contract.sources if s.role not in (Role.MODEL, Role.POLICY)]
+    roles = Counter((source.path, source.role) for source in stating)
+    if any(
+        count > 1 or Path(path).suffix not in SOURCE_SUFFIXES for (path, _), count in roles.items()
+    ):
+        return None
+    requests, _ = split_arguments(typed)
+    names = {str(request.path): request.name for request in requests if request.name}
+    return tuple(
+        f"{path}:{names[path]}" if path in names else path
+        for path in dict.fromkeys(source.path for source in stating)
+    )
 
 
 def list_proposed_matches(contract: Contract) -> dict[str, str]:

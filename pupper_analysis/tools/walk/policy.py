@@ -33,7 +33,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, is_input, read_input, read_toml
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
-from pupper_analysis.tools.contract.deployment import Deployment
+from pupper_analysis.tools.contract.deployment import SOURCE_SUFFIXES, Deployment
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     OnnxFile,
@@ -134,10 +134,6 @@ class Policy:
     def with_contract(self, **changed: Any) -> Policy:
         """Return a copy of the policy with changed fields of the `PolicyContract`."""
         return replace(self, contract=replace(self.contract, **changed))
-
-
-SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
-"""Suffixes of files of a deployment or trainer that both `walk` and `contract` read."""
 
 
 def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

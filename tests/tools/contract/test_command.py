@@ -118,6 +118,31 @@ def test_next_command_is_crosscheck_if_urdf_and_mjcf_differ_else_walk(tmp_path: 
     assert lines[2] == f"  next: pupper-analysis crosscheck {other} {MJCF}"
 
 
+def test_next_walk_gets_the_files_of_the_deployment(tmp_path: Path) -> None:
+    """The policy states no observation: without the YAML, `walk` refuses it. A configuration that
+    the user has selected stays selected.
+    """
+    sources = write_all(tmp_path)
+    deploy, policy = tmp_path / "deploy.yaml", sources["policy.json"]
+    deploy.write_text(f"joint_names: {format_list(JOINTS)}\nstiffness: {format_list([6.0] * 12)}\n")
+    lines = run(tmp_path, "v3", deploy, policy).stdout.splitlines()
+    assert lines[2] == f"  next: pupper-analysis walk v3 {deploy} --policy {policy}"
+    trainer = tmp_path / "gym.py"
+    trainer.write_text(GYM + GYM.replace("class Cfg", "class Other").replace("5.0", "6.0"))
+    lines = run(tmp_path, "v3", f"{trainer}:Other", policy).stdout.splitlines()
+    assert lines[2] == f"  next: pupper-analysis walk v3 {trainer}:Other --policy {policy}"
+
+
+def test_no_walk_is_proposed_with_a_file_that_walk_refuses(tmp_path: Path) -> None:
+    """`walk` takes every JSON for a policy."""
+    sources = write_all(tmp_path)
+    deploy = tmp_path / "deploy.json"
+    deploy.write_text(json.dumps({"joint_names": JOINTS, "stiffness": [6.0] * 12}))
+    lines = run(tmp_path, "v3", deploy, sources["policy.json"]).stdout.splitlines()
+    assert lines[1].startswith("  kp of leg_front_r_1")
+    assert lines[2] == "  next: pupper-analysis stand v3"
+
+
 def test_name_that_matches_no_joint_is_incomplete_and_the_next_command_assigns_it(
     tmp_path: Path,
 ) -> None:
