@@ -32,7 +32,10 @@ from pupper_analysis.tools.contract.findings import (
 )
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.readers import models as models_reader
-from pupper_analysis.tools.contract.readers.models import match_joint_names, read_model_file
+from pupper_analysis.tools.contract.readers.models import (
+    match_joint_names,
+    read_model_file,
+)
 from pupper_analysis.tools.contract.reading import (
     check_source,
     make_names_distinct,
@@ -191,8 +194,9 @@ def _compare_sources(
         # Imported late: this module imports PlaCo, which `check` does not need.
         from pupper_analysis.tools.contract.poses import stand_poses
 
-        paths = list(dict.fromkeys(model.path for model in models))
-        poses, unstood = stand_poses(paths, placed, first.order)
+        # The first URDF and the first MJCF; the first model defines the joints.
+        paths = {model.format == "urdf": model.path for model in reversed(models)}
+        poses, unstood = stand_poses(list(paths.values()), placed, first.order)
         notes += unstood
     findings = add_height_effects(find_disagreements(placed, joints), poses)
     worst = Severity(fail_on).rank
@@ -280,7 +284,7 @@ def _select_models(read: Sequence[JointSource], errors: Sequence[ModelError]) ->
             if Path(file).suffix.lower() in models_reader.FILE_SUFFIXES:
                 raise error
         raise ConfigurationError("sources", diagnose("contract-without-model"))
-    return sorted(models, key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
+    return sorted(models, key=lambda source: source.format != "mjcf")
 
 
 def _place_sources(

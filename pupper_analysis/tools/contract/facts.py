@@ -255,6 +255,8 @@ class JointSource:
         unread: {quantity: reason} of values that are no numbers.
         number_lists: {key: length} of lists of numbers that are not read, although the key contains
             a word for a quantity of joints, such as ``viscous_friction``.
+        format: Format of a model: ``urdf``, ``mjcf``, or the name of another format; "" for a
+            source that is no model.
     """
 
     name: str
@@ -272,6 +274,7 @@ class JointSource:
     unlimited: Mapping[str, Place] = field(default_factory=dict)
     unread: Mapping[str, Diagnostic] = field(default_factory=dict)
     number_lists: Mapping[str, int] = field(default_factory=dict)
+    format: str = ""
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
         """Create a `Fact` from a `Statement`: assign a number of this file to a joint of the robot.

@@ -41,7 +41,7 @@ def stand_poses(
     half of the joints, a source is skipped.
 
     Args:
-        models: Files of the robot.
+        models: Files of the robot, at most one of a format.
         placed: Sources with the stated default angles [rad] and, optionally, gains.
         joints: Names of the robot's joints.
 
@@ -64,9 +64,8 @@ def stand_poses(
     }
     if not complete:
         return (), []
-    kinds = {path.suffix.lower() == ".urdf": path for path in models}
     try:
-        robot = load_robot(*kinds.values())
+        robot = load_robot(*models)
     except PupperAnalysisError as error:
         return (), [diagnose("contract-not-stood", why=error.diagnostic)]
     if not robot.floating or not robot.feet:

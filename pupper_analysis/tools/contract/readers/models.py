@@ -16,9 +16,9 @@ import mujoco
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.attributes import TREE_ATTRIBUTES
-from pupper_analysis.models.loading import kind_of, read_model, reader_of
+from pupper_analysis.models.loading import read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import Joint, MjcfModel, RobotModel
@@ -26,6 +26,7 @@ from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import group_actuators_by_joint, read_actuator_law
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.trees import without_shapes
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
     JointSource,
@@ -80,6 +81,7 @@ def read(request: Request) -> Iterator[JointSource]:
             order=order,
             notes=tuple(notes),
             unlimited=unlimited,
+            format=model.format,
         )
 
 
@@ -213,30 +215,28 @@ def match_joint_names(
         pairs of ``given``; and notes.
     """
     matched, notes = dict[str, str](), list[Diagnostic]()
+    first_names = set(models[0].order)
+    # If one model contains all names of the other model, no joint can have another name.
     for model_source in (
-        model_source for model_source in models if set(model_source.order) != set(models[0].order)
+        model_source
+        for model_source in models[1:]
+        if set(model_source.order) - first_names and first_names - set(model_source.order)
     ):
         # First the file readable as a URDF, then the one readable as an MJCF; a USD is both.
-        urdf_path, mjcf_path = sorted(
-            (models[0].path, model_source.path),
-            key=lambda path: 0 if reader_of(path) else 1 if kind_of(path) == "mjcf" else -1,
+        urdf_source, mjcf_source = sorted(
+            (models[0], model_source), key=lambda source: _FORMAT_RANKS.get(source.format, 0)
         )
         user_pairs = {
             old: new
             for old, new in given.items()
             if old in model_source.order and new in models[0].order
         }
-        first_is_urdf = urdf_path == models[0].path
+        first_is_urdf = urdf_source is models[0]
         try:
             with silence_mujoco():
-                urdf_reader, mjcf_reader = reader_of(urdf_path), reader_of(mjcf_path)
                 match = match_models(
-                    read_urdf(urdf_path)
-                    if urdf_reader is None
-                    else urdf_reader.read_as_urdf(urdf_path),
-                    read_mjcf(mjcf_path)
-                    if mjcf_reader is None
-                    else mjcf_reader.read_as_mjcf(mjcf_path),
+                    _read_as_urdf(urdf_source),
+                    _read_as_mjcf(mjcf_source),
                     names={new: old for old, new in user_pairs.items()}
                     if first_is_urdf
                     else user_pairs,
@@ -251,3 +251,34 @@ def match_joint_names(
             pair_texts = [f"{old} = {new}" for old, new in pairs[:6]]
             notes.append(diagnose("contract-matched", pairs=pair_texts, count=len(pairs)))
     return {**matched, **given}, notes
+
+
+_FORMAT_RANKS = {"urdf": -1, "mjcf": 1}
+"""{format of a model: rank}: of two models that are matched, the model of the lower rank is read as
+the URDF. A format without entry has the rank 0, and can be read as both."""
+
+
+def _read_as_urdf(source: JointSource) -> UrdfFile:
+    """Read a model as a URDF; an MJCF is converted."""
+    reader = reader_of(source.path)
+    if reader is not None:
+        return reader.read_as_urdf(source.path)
+    if source.format == "urdf":
+        return read_urdf(source.path)
+    # Imported late: only two models of the same format with different joints need a conversion.
+    from pupper_analysis.prepare.convert.load import read_pair
+
+    return read_pair(source.path).urdf
+
+
+def _read_as_mjcf(source: JointSource) -> MjcfFile:
+    """Read a model as an MJCF; a URDF is converted without shapes, because joints are matched."""
+    reader = reader_of(source.path)
+    if reader is not None:
+        return reader.read_as_mjcf(source.path)
+    if source.format == "mjcf":
+        return read_mjcf(source.path)
+    from pupper_analysis.prepare.convert.load import ModelPair  # see `_read_as_urdf`
+
+    urdf = read_urdf(source.path)
+    return ModelPair.from_file(replace(urdf, root=without_shapes(urdf.root))).mjcf
