@@ -510,7 +510,7 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
     Returns:
         Diagnostic of the replacement; None if there is no such base.
     """
-    base = _find_free_base(spec, stated)
+    base = find_free_base(spec, stated)
     if base is None:
         return None
     for key in list(spec.keys):
@@ -561,10 +561,14 @@ def _delete_sensors(spec: mujoco.MjSpec, kind: mujoco.mjtObj, name: str) -> None
             spec.delete(sensor)
 
 
-def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
+def find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
     """Return the base that three slides, and three hinges or a ball, move freely; else None.
 
     A base is not returned if its joints are driven or sprung, or contained in ``stated``.
+
+    Args:
+        spec: The MJCF.
+        stated: Joints that the other model contains.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)

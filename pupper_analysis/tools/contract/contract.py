@@ -33,6 +33,7 @@ from pupper_analysis.tools.contract.findings import (
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.readers import models as models_reader
 from pupper_analysis.tools.contract.readers.models import (
+    list_unshared_joints,
     match_joint_names,
     read_model_file,
 )
@@ -180,13 +181,14 @@ def _compare_sources(
         [models[0], *(source for source in read if source is not models[0])]
     )
     placed, placing_notes, placing_errors = _place_sources(first, rest, joints)
+    unshared = _list_unshared_joints(placed)
     notes += placing_notes
     errors += placing_errors
     if errors and all(source.source.role is Role.MODEL for source in placed):
         raise errors[0]
     unread = [diagnose("contract-unread", file=error.source, why=error.cause) for error in errors]
     lost = find_lost_quantities(placed, joints)
-    unread += [*find_unmatched_joints(placed, first.order, lost), *lost]
+    unread += [*find_unmatched_joints(placed, first, lost, unshared), *lost]
     notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
     poses: tuple[DefaultPoseStand, ...] = ()
@@ -307,6 +309,24 @@ def _place_sources(
             continue
         placed.append(placed_source)
     return placed, notes, errors
+
+
+def _list_unshared_joints(placed: Sequence[PlacedSource]) -> dict[str, set[str]]:
+    """Return {name of a model: its joints that are no joints of the robot itself}.
+
+    Models with the same joints are omitted, since their joints are compared in any case.
+    """
+    models = [source for source in placed if source.source.role is Role.MODEL]
+    names = [set(source.order) for source in models]
+    if all(source_names == names[0] for source_names in names):
+        return {}
+    return {
+        source.source.name: list_unshared_joints(
+            source.source,
+            {name for other in models if other is not source for name in other.source.order},
+        )
+        for source in models
+    }
 
 
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:

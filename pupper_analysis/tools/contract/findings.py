@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -21,6 +21,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
     Fact,
+    JointSource,
     QuantityKind,
     Role,
     Statement,
@@ -259,20 +260,25 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
 
 
 def find_unmatched_joints(
-    placed: Sequence[PlacedSource], joints: Sequence[str], lost: Sequence[Diagnostic]
+    placed: Sequence[PlacedSource],
+    first: JointSource,
+    lost: Sequence[Diagnostic],
+    unshared: Mapping[str, Set[str]],
 ) -> list[Diagnostic]:
-    """List the joint names of each source that match no joint of the robot.
+    """List the joint names of each source that match no joint of the robot, and missing joints.
 
     If one name of a source is left, and its quantities lack the number of one joint of the robot
-    only, the message contains this joint: the name probably belongs to this joint.
+    only, the message contains this joint: the name probably belongs to this joint. Missing joints
+    are only reported of models: another source may contain the actuated joints alone.
 
     Args:
         placed: Sources.
-        joints: Names of the robot's joints.
+        first: Model that defines the robot's joints.
         lost: Messages of `find_lost_quantities`, whose names are not repeated.
+        unshared: {name of a model: joints that other models may lack}.
 
     Returns:
-        A message for each source with such names.
+        Messages about the sources with such names, and about the models that lack joints.
     """
     messages = list[Diagnostic]()
     repeated = set[tuple[str, str]]()
@@ -283,14 +289,29 @@ def find_unmatched_joints(
             }
     for source in placed:
         file = source.source.name
-        names = tuple(name for name in source.unknown if (file, name) not in repeated)
+        is_model = source.source.role is Role.MODEL
+        ignored = unshared.get(file, ()) if is_model else ()
+        names = tuple(
+            name for name in source.unknown if (file, name) not in repeated and name not in ignored
+        )
+        if is_model:
+            missing = tuple(
+                joint
+                for joint in first.order
+                if joint not in source.order and joint not in unshared.get(first.name, ())
+            )
+            if not (len(names) == len(missing) == 1):
+                messages += _report_missing_joints(first, source.source, names, bool(missing))
+                messages += _report_missing_joints(source.source, first, missing, bool(names))
+                continue
         if not names:
             continue
         quantities = [quantity for quantity, keys in source.unplaced.items() if names[0] in keys]
         lacking = {
             joint
-            for joint in joints
+            for joint in first.order
             if joint not in source.order
+            and joint not in unshared.get(first.name, ())
             and all((quantity, joint) not in source.facts for quantity in quantities)
         }
         is_clear = len(names) == 1 and len(lacking) == 1
@@ -305,6 +326,25 @@ def find_unmatched_joints(
             )
         )
     return messages
+
+
+def _report_missing_joints(
+    lacking: JointSource, having: JointSource, joints: Sequence[str], can_be_renamed: bool
+) -> Iterator[Diagnostic]:
+    """Yield a message if a model lacks ``joints`` of another model.
+
+    ``can_be_renamed``: the first model also has joints that the second model lacks.
+    """
+    if joints:
+        yield diagnose(
+            "contract-joints-missing",
+            file=lacking.name,
+            other=having.name,
+            names=tuple(joints),
+            count=len(joints),
+            map=can_be_renamed or None,
+            sources=lacking.path,
+        )
 
 
 def _find_missing_sides(

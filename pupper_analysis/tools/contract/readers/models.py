@@ -7,7 +7,7 @@ moving joint, each with its line. The joint order is limb by limb, as in MuJoCo.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +20,9 @@ from pupper_analysis.models.loading import read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place, make_file_error
+from pupper_analysis.models.spec_tree import find_free_base
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
-from pupper_analysis.models.stated.model import Joint, MjcfModel, RobotModel
+from pupper_analysis.models.stated.model import FREE_JOINT, Joint, MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import group_actuators_by_joint, read_actuator_law
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -282,3 +283,27 @@ def _read_as_mjcf(source: JointSource) -> MjcfFile:
 
     urdf = read_urdf(source.path)
     return ModelPair.from_file(replace(urdf, root=without_shapes(urdf.root))).mjcf
+
+
+def list_unshared_joints(model: JointSource, others: Collection[str]) -> set[str]:
+    """Return the joints of a model that are no joints of the robot itself.
+
+    These joints move the free base of an MJCF in place of a free joint (`find_free_base`), or
+    belong to other objects of a scene, beside a robot with a free joint.
+
+    Args:
+        model: Source of the model.
+        others: Joints that another model contains.
+    """
+    stated = read_model_file(model.path)
+    if not isinstance(stated, MjcfModel) or stated.base not in stated.links:
+        return set()
+    base = stated.links[stated.base]
+    root = [base.name, *stated.ancestors(base.name)][-1]
+    links = {root, *(link.name for link in stated.descendants(root))}
+    free_base = find_free_base(stated.file.spec, others)
+    has_free_base = free_base is not None and free_base.name == root
+    joints = {joint.name for joint in stated.links[root].joints} if has_free_base else set()
+    if any(joint.kind == FREE_JOINT for joint in stated.links[root].joints) or has_free_base:
+        joints |= {name for name, joint in stated.joints.items() if joint.child not in links}
+    return joints - set(others)
