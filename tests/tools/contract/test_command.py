@@ -156,7 +156,7 @@ def test_name_that_matches_no_joint_is_incomplete_and_the_next_command_assigns_i
     assert result.returncode == 1
     assert lines[0] == (
         "INCOMPLETE robot.urdf and gym_cfg.py: "
-        "leg_back_l_3 of gym_cfg.py:Cfg matches no joint, probably rear_knee"
+        "leg_back_l_3 of gym_cfg.py:Cfg is probably joint rear_knee"
     )
     options = "--no-stand --map leg_back_l_3=rear_knee"
     assert lines[2] == f"  next: pupper-analysis contract {model} {trainer} {options}"
