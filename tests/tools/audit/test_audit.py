@@ -209,6 +209,7 @@ SLIPS: list[tuple[Any, ...]] = [
     ("gravity-unusual", "mjcf option", '', '-9.81', '9.81'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '0'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '-9.75'),
+    ("total-mass-replaced", "mjcf compiler", '', '<compiler', '<compiler settotalmass="0.01"'),
     ("moving-body-without-mass", "urdf link FL_calf", "",
      *((link, r"(?s)<inertial>.*?</inertial>", "") for link in (FL_CALF, FL_FOOT))),
     ("visual-adds-mass", "mjcf geom shell", "", ('<geom class="torso"/>', "\n",
@@ -452,6 +453,46 @@ def test_command_range_is_found_if_it_is_the_range_of_the_joint_in_degrees(
     edit = Edit('<general name="FL_HFE"', "/>", f' ctrlrange="{command_range}"/>')
     result = audit_model(write_model(tmp_path, "mjcf", (edit,)))
     assert bool(find_findings(result, "command-range-in-degrees")) == is_found
+
+
+@pytest.mark.parametrize(
+    ("inertial", "total_mass", "severity"),
+    [
+        ("mass", 0.02, Severity.WARNING),  # the robot of 3 kg becomes 150 times lighter
+        ("mass", 30.0, Severity.WARNING),
+        ("mass", 3.3, Severity.NOTE),  # as after weighing
+        ("mass", 3.001, None),
+        ("mass", -1.0, None),
+        ("geoms", 30.0, Severity.WARNING),
+        ("density", 0.02, Severity.NOTE),  # the file states no mass
+    ],
+)
+def test_total_mass_that_replaces_the_masses_in_the_file_is_stated(
+    inertial: str, total_mass: float, severity: Severity | None, tmp_path: Path
+) -> None:
+    """Closed form: two bodies of 1 and 2 kg. Reference: the sum of bare MuJoCo's masses."""
+    bodies = []
+    for name, mass in (("a", 1.0), ("b", 2.0)):
+        geom = f'<geom type="box" size="0.05 0.05 0.05" density="{1000 * mass}"/>'
+        stated = f'<inertial pos="0 0 0" mass="{mass}" diaginertia="0.01 0.01 0.01"/>'
+        if inertial == "geoms":
+            geom = geom.replace("density", f'mass="{mass}" density')
+        stated = stated if inertial == "mass" else ""
+        bodies.append(f'<body><joint name="{name}"/>{stated}{geom}</body>')
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        f'<mujoco>\n<compiler settotalmass="{total_mass}"/>\n'
+        f"<worldbody>{''.join(bodies)}</worldbody></mujoco>"
+    )
+    found = find_findings(audit_model(path), "total-mass-replaced")
+    assert [finding.severity for finding in found] == ([severity] if severity else [])
+    simulated = mujoco.MjModel.from_xml_path(str(path)).body_mass.sum()
+    for finding in found:
+        values = finding.diagnostic.values
+        assert values["written"].value == pytest.approx(3.0)
+        assert values["total"].value == pytest.approx(simulated, rel=1e-9)
+        assert values["factor"].value == pytest.approx(total_mass / 3.0)
+        assert finding.line == 2
 
 
 def test_keyframe_with_knees_of_the_wrong_sign_names_the_knees(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.mjcf import has_free_joint
+from pupper_analysis.models.mjcf import compile_spec, has_free_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import find_element_place, joint_name
@@ -35,6 +35,7 @@ from pupper_analysis.tools.audit.registry import (
     list_link_points,
     rule,
 )
+from pupper_analysis.tools.audit.rules.files import find_first_place
 from pupper_analysis.tools.audit.rules.shapes import MAX_DENSITY
 
 MAX_COM_OFFSET = 0.002
@@ -243,6 +244,48 @@ example weak motors and straight legs. Chosen, not tuned.
 MAX_MASS_FRACTION = 0.9
 """Mass of a moving link, relative to the mass of the robot, above which `mass_beyond_motors`
 reports this link instead of the base as too heavy for the motors. Chosen, not tuned."""
+
+
+@rule
+def total_mass_replaced(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find a ``settotalmass`` that differs from the sum of the masses in the file.
+
+    The severity is NOTE if the ratio is at most `MAX_TOTAL_MASS_RATIO`, as of a weighed robot, or
+    if the file states no mass: then MuJoCo computes all masses from densities.
+    """
+    spec, model = robot.file.spec, robot.mj_model
+    if model is None or not spec.compiler.settotalmass > 0:
+        return
+    spec = spec.copy()
+    spec.compiler.settotalmass = -1.0
+    written = float(compile_spec(spec, robot.file.path).body_mass[1:].sum())
+    total = float(model.body_mass[1:].sum())
+    if not written > 0 or np.isclose(total, written, rtol=MASS_SUM_RTOL, atol=0.0):
+        return
+    factor = total / written
+    from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    is_stated = any(np.isfinite(geom.mass) for geom in spec.geoms) or (
+        not from_geoms and any(body.explicitinertial for body in spec.bodies)
+    )
+    is_near = max(factor, 1 / factor) <= MAX_TOTAL_MASS_RATIO
+    message = diagnose(
+        "total-mass-replaced",
+        written=Quantity(written, "kg"),
+        total=Quantity(total, "kg"),
+        factor=Quantity(factor, "1"),
+    )
+    place = find_first_place(robot.file, "compiler", "settotalmass")
+    severity = Severity.NOTE if is_near or not is_stated else None
+    yield CheckFinding("compiler", "", message, place=place, severity=severity)
+
+
+MAX_TOTAL_MASS_RATIO = 2.0
+"""Largest ratio between ``settotalmass`` and the sum of the masses in the file (or its inverse)
+with which `total_mass_replaced` has the severity NOTE. Chosen, not tuned."""
+
+MASS_SUM_RTOL = 1e-3
+"""Relative difference up to which ``settotalmass`` equals the sum of the masses in the file, for
+example if it is the rounded sum. Chosen, not tuned."""
 
 
 @rule
