@@ -301,8 +301,9 @@ def find_unmatched_joints(
                 if joint not in source.order and joint not in unshared.get(first.name, ())
             )
             if not (len(names) == len(missing) == 1):
-                messages += _report_missing_joints(first, source.source, names, bool(missing))
-                messages += _report_missing_joints(source.source, first, missing, bool(names))
+                target = first.name if names and missing else ""
+                messages += _report_missing_joints(first, source.source, names, target)
+                messages += _report_missing_joints(source.source, first, missing, target)
                 continue
         if not names:
             continue
@@ -329,11 +330,12 @@ def find_unmatched_joints(
 
 
 def _report_missing_joints(
-    lacking: JointSource, having: JointSource, joints: Sequence[str], can_be_renamed: bool
+    lacking: JointSource, having: JointSource, joints: Sequence[str], target: str
 ) -> Iterator[Diagnostic]:
     """Yield a message if a model lacks ``joints`` of another model.
 
-    ``can_be_renamed``: the first model also has joints that the second model lacks.
+    ``target`` is the model of the JOINT in ``--map NAME=JOINT``, if both models lack joints of each
+    other, which may have other names; otherwise "".
     """
     if joints:
         yield diagnose(
@@ -342,7 +344,7 @@ def _report_missing_joints(
             other=having.name,
             names=tuple(joints),
             count=len(joints),
-            map=can_be_renamed or None,
+            target=target or None,
             sources=lacking.path,
         )
 

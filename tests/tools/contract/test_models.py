@@ -161,7 +161,24 @@ def test_each_of_two_models_can_lack_joints_of_the_other(tmp_path: Path) -> None
             ("first.urdf", "second.urdf", ("left_wheel", "right_wheel")),
             ("second.urdf", "first.urdf", ("left_finger", "right_finger")),
         ]
-        assert all("--map NAME=JOINT" in str(message) for message in found.unread)
+        target = f"--map NAME=JOINT (JOINT of {models[0].name})"
+        assert all(target in str(message) for message in found.unread)
+        stems = ("wheel", "finger") if models[0] is first else ("finger", "wheel")
+        names = {f"{side}_{stems[0]}": f"{side}_{stems[1]}" for side in LEGS}
+        assert read_contract(*models, names=names, stand=False).unread == ()
+
+
+def test_three_models_of_two_formats_have_the_same_result_in_any_order(tmp_path: Path) -> None:
+    """One URDF lacks the fingers; the knees of the MJCF, which comes first, have other names."""
+    models = (
+        write_urdf(tmp_path / "a.urdf"),
+        write_urdf(tmp_path / "b.urdf", hands=True),
+        write_mjcf(tmp_path / "c.xml", hands=True, names={"left_knee": "m1", "right_knee": "m2"}),
+    )
+    for ordered in permutations(models):
+        found = compare(*ordered)
+        assert list_missing(found) == [("a.urdf", "c.xml", ("left_finger", "right_finger"))]
+        assert [note.code for note in found.notes] == ["contract-matched"]
 
 
 def test_missing_joint_is_not_repeated_if_the_other_name_is_probably_this_joint(

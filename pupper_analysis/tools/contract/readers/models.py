@@ -250,7 +250,8 @@ def match_joint_names(
         notes += [note for note in match.notes if note.code == "joint-matches-several"]
         if pairs:
             pair_texts = [f"{old} = {new}" for old, new in pairs[:6]]
-            notes.append(diagnose("contract-matched", pairs=pair_texts, count=len(pairs)))
+            matched_note = diagnose("contract-matched", pairs=pair_texts, count=len(pairs))
+            notes += [] if matched_note in notes else [matched_note]
     return {**matched, **given}, notes
 
 
