@@ -179,7 +179,7 @@ def command(
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
     from pupper_analysis.tools.walk.response import DEFAULT_LIMITS, map_response
-    from pupper_analysis.tools.walk.runs import replace_efforts
+    from pupper_analysis.tools.walk.runs import find_joint_indices, replace_efforts
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
@@ -195,6 +195,8 @@ def command(
     with _explain_missing_key(policy_path, contract, sources):
         loaded_policy = Policy.load(policy_path, contract, deployment)
     assigned, torque_limits = _parse_motor_limits(motors, effort, robot)
+    with _propose_joint_names(contract or policy_path.with_suffix(".toml")):
+        find_joint_indices(robot, loaded_policy)
     robot, loaded_policy = replace_efforts(robot, loaded_policy, torque_limits)
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
@@ -325,8 +327,35 @@ def _explain_missing_key(
         )
         explained = ModelError(policy, incomplete)
         if not has_template:
-            explained.add_note(complete_command(NextStep("walk", ("--init",))))
+            explained.add_note(_complete_template_command())
         raise explained from error
+
+
+@contextmanager
+def _propose_joint_names(template: Path) -> Iterator[None]:
+    """Add a command to the error about a policy without joint names for some of the joints.
+
+    The command writes a template, which contains the names. There is no command if the template
+    exists, or if the policy commands more joints than the robot has.
+    """
+    try:
+        yield
+    except ModelError as error:
+        counts = error.cause.values
+        if (
+            error.cause.code == "joints-of-policy"
+            and counts["policy"] < counts["robot"]
+            and not path_exists(template)
+        ):
+            error.add_note(_complete_template_command())
+        raise
+
+
+def _complete_template_command() -> str:
+    """Create the command line that writes a template of the TOML file of the typed policy."""
+    from pupper_analysis.tools.walk.document import TEMPLATE_STEP
+
+    return complete_command(TEMPLATE_STEP)
 
 
 def _refuse_idle_options(

@@ -805,12 +805,24 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
     )
 
 
+TEMPLATE_STEP = doc.NextStep(
+    "walk",
+    ("--init",),
+    omitted=(
+        "--command", "--seeds", "--seconds", "--vary", "--fit", "--effort", "--motor", "--orders",
+        "--contract", "--trace", "--response",
+    ),
+)  # fmt: skip
+"""Next command that writes a template of the TOML file of a policy, without the typed options that
+``--init`` refuses."""
+
+
 def _select_step_after_orders(result: Orders) -> doc.NextStep:
     """Return the next command after a ranking of interpretations of a policy."""
     if not result.candidates[0].tracked:
         return doc.NextStep("audit")
     if result.stated not in result.alike:
-        return doc.NextStep("walk", ("--init",), omitted=("--orders", "--seconds", "--effort"))
+        return TEMPLATE_STEP
     if not result.passed:
         return doc.NextStep("audit")
     if result.determined:

@@ -126,11 +126,16 @@ def write_template(
 
 
 def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
-    """Suggest TOML values for ``observation`` and, if possible, ``joints`` and ``default``."""
+    """Suggest TOML values for ``observation`` and, if possible, ``joints`` and ``default``.
+
+    If the policy commands fewer joints than the robot has, all joints are suggested as ``joints``:
+    the user deletes the others.
+    """
     terms = ["angular-velocity", "gravity", "command", "joint-positions", "joint-velocities"]
     values: dict[str, Any] = {"observation": [*terms, "last-action"]}
-    if robot.nu == outputs:
+    if robot.nu >= outputs:
         values["joints"] = list(robot.joint_names)
+    if robot.nu == outputs:
         values["default"] = np.round(robot.home[-robot.nu :], 6).tolist()
     return {key: _format_toml_value(value) for key, value in values.items()}
 

@@ -192,7 +192,7 @@ def test_missing_key_names_the_base_class_and_the_template(
         "        action_scale = 0.5\n        decimation = 4\n"
     )
     words = ("walk", "v3", str(config), str(policy))
-    status, _, err = run_command(capfd, *words)
+    status, _, err = run_command(capfd, *words, "--command", "0.5,0,0")  # --init refuses it
     fault, step = err.splitlines()[-2:]
     assert status == 2
     assert fault.startswith(f"error: {policy}: no file states ")
@@ -203,3 +203,37 @@ def test_missing_key_names_the_base_class_and_the_template(
     assert out.splitlines()[-1] == f"  next: pupper-analysis walk v3 {config} {policy}"
     _, _, err = run_command(capfd, *words)
     assert err.splitlines()[-1].endswith(f"; complete {policy.with_suffix('.toml')}")
+
+
+def test_policy_for_fewer_joints_without_names_proposes_a_template_that_can_be_written(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The robot has a 13th motor, in the head; ``--init`` refuses the typed ``--command``."""
+    policy = made.write_standing_policy(tmp_path / "still.json")
+    mjcf = legged.quadruped(tmp_path, actuators="position", floor=True, head=True).mjcf
+    words = ("walk", str(mjcf), str(policy))
+    status, _, err = run_command(capfd, *words, "--command", "0,0,0", "--seeds", "2")
+    fault, step = err.splitlines()[-2:]
+    assert status == 2
+    assert fault.endswith("commands 12 joints without names, but the robot has 13 joints")
+    assert step == f"  next: pupper-analysis {' '.join(words)} --init"
+    status, _, err = run_command(capfd, *words, "--init")
+    assert status == 0, err
+    names = [line for line in policy.with_suffix(".toml").read_text().splitlines()
+             if line.startswith("# joints = ")]  # fmt: skip
+    assert len(names) == 1
+    assert names[0].count(", ") == 12  # the names of all joints, to choose from
+    _, _, err = run_command(capfd, *words)
+    assert "next:" not in err  # the template exists
+
+
+def test_policy_for_more_joints_proposes_no_command(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """No file can make a policy with 12 outputs drive a robot with 8 joints."""
+    policy = made.write_standing_policy(tmp_path / "still.json")
+    robot = legged.fix_hinges(legged.quadruped(tmp_path, actuators="position"), "_knee").mjcf
+    status, _, err = run_command(capfd, "walk", str(robot), str(policy))
+    assert status == 2
+    assert "commands 12 joints without names, but the robot has 8 joints" in err
+    assert "next:" not in err
