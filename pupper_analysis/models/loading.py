@@ -167,7 +167,8 @@ def read_model(
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":
-        raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
+        problem = diagnose("no-model", tag=str(root.tag), sdf=root.tag == "sdf")
+        raise make_element_error(path, root, problem)
     return urdf_from(path, text, root, packages)
 
 

@@ -273,7 +273,8 @@ def _make_text_file(
             raise ModelError(str(path), problem) from error
         return mjcf_of_spec(path, spec, (_make_memory_note(name),))
     if root.tag != "robot":
-        raise make_element_error(path, root, diagnose("no-model", tag=str(root.tag)))
+        problem = diagnose("no-model", tag=str(root.tag), sdf=root.tag == "sdf")
+        raise make_element_error(path, root, problem)
     return _read_urdf(path, text, packages, _make_memory_note(name))
 
 
