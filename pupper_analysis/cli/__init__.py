@@ -185,7 +185,8 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         click.echo(error.format_message(), err=True)
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else command.name
-        _print_error(f"{error.format_message()} (see: {where} --help)")
+        text = f"{error.format_message()} (see: {where} --help)"
+        _print_error(text, *getattr(error, "__notes__", ()))
     except (PupperAnalysisError, click.ClickException) as error:
         _print_error(str(error), *getattr(error, "__notes__", ()))
     except click.Abort as error:

@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from pupper_analysis.base.errors import ModelError, StanceUnreachableError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.cli.shared import ROBOT_WORDS, TYPED_WORDS, OutputPath, sort_model_paths
@@ -251,6 +252,47 @@ def complete_audit_command(error: ModelError) -> str:
     words = (sources[0].file,) if sources else ()
     repair = ("--fix",) if error.cause.code == "joint-limits-crossed" else ()
     return complete_command(NextStep("audit", (*words, *repair), robot_typed=not words))
+
+
+def complete_pair_command(present: Path, missing: Path | None = None) -> str:
+    """Create the command line after the refusal of `crosscheck` or `sync` with a single model file.
+
+    Without a typed second file, the line gets the file of the other format with the same name, if
+    it exists. Otherwise the line is `audit` of the present file after `crosscheck`; after `sync`,
+    `convert`, which writes the second file.
+
+    Args:
+        present: Typed URDF or MJCF.
+        missing: Typed second file, which does not exist; None if no second file was typed.
+
+    Returns:
+        Command line; empty if ``present`` does not exist or has another suffix.
+    """
+    context = click.get_current_context(silent=True)
+    suffixes = _SUFFIXES_OF_OTHER_FORMAT.get(present.suffix.lower())
+    if context is None or suffixes is None or not path_exists(present):
+        return ""
+    beside = [present.with_suffix(suffix) for suffix in suffixes]
+    found = next(filter(path_exists, beside), None) if missing is None else None
+    if found is not None:
+        pair = sorted((present, found), key=lambda path: path.suffix.lower() != ".urdf")
+        step = NextStep(str(context.command.name), tuple(map(str, pair)), robot_typed=False)
+    elif context.command.name == "crosscheck":
+        step = NextStep("audit", (str(present),), robot_typed=False)
+    else:
+        written = beside[0] if missing is None else missing
+        if written.suffix.lower() not in suffixes:
+            return ""
+        step = NextStep("convert", (str(present), "-o", str(written)), robot_typed=False)
+    return complete_command(step)
+
+
+_SUFFIXES_OF_OTHER_FORMAT = {
+    ".urdf": (".xml", ".mjcf"),
+    ".xml": (".urdf",),
+    ".mjcf": (".urdf",),
+}
+"""{suffix of a URDF or MJCF: suffixes of the other format}."""
 
 
 def complete_forced_command() -> str:

@@ -384,6 +384,8 @@ class Command(click.Command):
                 from pupper_analysis.cli.next_step import complete_audit_command
 
                 error.add_note(complete_audit_command(error))
+            elif error.cause.code == "no-such-file" and not error.cause.values.get("alike"):
+                error.add_note(_complete_pair_command(context, error))
             raise
         except StanceUnreachableError as error:
             from pupper_analysis.cli.next_step import complete_relaxed_command
@@ -428,6 +430,21 @@ class Command(click.Command):
             if typed and name in (own, *_OPTIONS_OF_ARGUMENTS.get(field, ())):
                 return name
         return ""
+
+
+def _complete_pair_command(context: click.Context, error: ModelError) -> str:
+    """Create the command line after the error about a missing file of a URDF and an MJCF.
+
+    Empty for a command without the arguments URDF and MJCF.
+    """
+    from pupper_analysis.cli.next_step import complete_pair_command
+
+    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    urdf, mjcf = context.params.get("urdf"), context.params.get("mjcf")
+    if not arguments >= {"urdf", "mjcf"} or urdf is None or mjcf is None:
+        return ""
+    missing, present = (urdf, mjcf) if str(urdf) == error.source else (mjcf, urdf)
+    return complete_pair_command(present, missing)
 
 
 _SHORT_OPTION_LENGTH = 2

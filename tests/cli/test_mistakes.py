@@ -133,6 +133,8 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         (("stand", "package:///x"), "incomplete path: write package://NAME/FILE"),
         (("convert", "package:", "-o", "x.xml"), "incomplete path: write package://NAME"),
         (("audit", "rex.xacro"), "rex.xacro:2: the file is a xacro file; give the expanded URDF"),
+        (("stand", "go2.sdf"), "SDF is not supported: give a URDF or an MJCF of the robot"),
+        (("audit", "go2.sdf"), "SDF is not supported: give a URDF or an MJCF of the robot"),
         (("stand", "go2.srdf"), "go2.srdf: the file is an SRDF, which only adds groups"),
         (("stand", "folder"), "the path is a folder; give the path of a file"),
         (("stand", "deploy.yaml"), "the file does not begin with <"),
@@ -147,6 +149,8 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     (tmp_path / "deploy.yaml").write_text("kp: 5\n")
     xacro = '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro">\n<xacro:leg/></robot>'
     (tmp_path / "rex.xacro").write_text(xacro)
+    (tmp_path / "go2.sdf").write_text('<sdf version="1.9"><model name="go2"/></sdf>')
+    (tmp_path / "go2.sdf").write_text('<sdf version="1.9"><model name="go2"/></sdf>')
     (tmp_path / "go2.srdf").write_text('<robot name="go2"><group name="legs"/></robot>')
     assert suggested in run_refused(*arguments, folder=tmp_path)
 
@@ -155,7 +159,6 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     ("arguments", "message"),
     [
         (("diff", "a.urdf"), "argument NEW is missing: the new version, of the same format"),
-        (("sync", "a.urdf"), "argument MJCF is missing: the MJCF to compare and change; usage:"),
         (("crosscheck",), "argument URDF is missing: a URDF, or the name of a variant such as v3"),
         (("study",), "argument FILE is missing: a TOML file that describes the study"),
         (("study", "none.toml"), "none.toml: there is no such file"),
@@ -170,6 +173,36 @@ def test_error_of_a_wrong_argument_states_the_expected_argument(
 ) -> None:
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "a.urdf")
     assert message in run_refused(*arguments, folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "command"),
+    [
+        (("sync", "a.urdf"), "argument MJCF is missing: the MJCF to compare and change; usage:",
+         "convert a.urdf -o a.xml"),
+        (("sync", "a.urdf", "missing.xml"), "missing.xml: there is no such file",
+         "convert a.urdf -o missing.xml"),
+        (("crosscheck", "a.urdf"), "argument MJCF is missing", "audit a.urdf"),
+        (("crosscheck", "a.urdf", "missing.xml"), "missing.xml: there is no such file",
+         "audit a.urdf"),
+        (("crosscheck", "b.urdf", "--strict"), "argument MJCF is missing",
+         "crosscheck b.urdf b.xml --strict"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_error_of_a_missing_second_model_proposes_a_command(
+    arguments: tuple[str, ...], message: str, command: str, tmp_path: Path
+) -> None:
+    for name in ("a.urdf", "b.urdf"):
+        shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / name)
+    (tmp_path / "b.xml").write_text("<mujoco/>")
+    error, step = answer(*arguments, folder=tmp_path).stderr.splitlines()
+    assert message in error
+    assert step == f"  next: pupper-analysis {command}"
+
+
+def test_error_of_two_missing_models_proposes_no_command(tmp_path: Path) -> None:
+    assert "there is no such file" in run_refused("sync", "y.urdf", "z.xml", folder=tmp_path)
 
 
 @pytest.mark.parametrize(

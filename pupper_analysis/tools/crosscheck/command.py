@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.next_step import complete_pair_command
 from pupper_analysis.cli.shared import (
     change_tolerances,
     frame_option,
@@ -96,7 +97,9 @@ def command(
         urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     elif not is_variant(urdf):
         refuse_unknown_variant(str(urdf))
-        raise command.make_missing_error(context, "mjcf")
+        error = command.make_missing_error(context, "mjcf")
+        error.add_note(complete_pair_command(urdf))
+        raise error
     names = parse_name_map(pairs)
     folders = shared.parse_packages(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()

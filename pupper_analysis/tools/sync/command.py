@@ -8,6 +8,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
+from pupper_analysis.cli.next_step import complete_pair_command
 from pupper_analysis.cli.shared import (
     change_tolerances,
     fine_tolerance_option,
@@ -105,7 +106,9 @@ def command(
         urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     elif not is_variant(urdf):
         refuse_unknown_variant(str(urdf))
-        raise command.make_missing_error(click.get_current_context(), "mjcf")
+        error = command.make_missing_error(click.get_current_context(), "mjcf")
+        error.add_note(complete_pair_command(urdf))
+        raise error
     names, folders = parse_name_map(pairs), shared.parse_packages(packages)
     tolerances = change_tolerances(Tolerances(), changes)
 

@@ -102,7 +102,6 @@ BAD: dict[str, tuple[list[str], str]] = {
     "a folder": (["folder", "robot.xml"], "folder: the path is a folder"),
     "no XML": (["text.urdf", "robot.xml"], "text.urdf:1: not well-formed XML"),
     "two URDFs": (["robot.urdf", "robot.urdf"], "robot.urdf"),
-    "one file": (["robot.urdf"], "argument MJCF is missing: the MJCF to compare with the URDF"),
     "map without =": (["robot.urdf", "robot.xml", "--map", "hip0"], "map: 'hip0' is not of the"),
     "map of an unknown name": (
         ["robot.urdf", "robot.xml", "--map", "hop=hip0"],
