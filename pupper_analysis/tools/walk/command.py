@@ -179,7 +179,7 @@ def command(
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
     from pupper_analysis.tools.walk.response import DEFAULT_LIMITS, map_response
-    from pupper_analysis.tools.walk.runs import find_joint_indices, replace_efforts
+    from pupper_analysis.tools.walk.runs import replace_efforts
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
@@ -195,8 +195,7 @@ def command(
     with _explain_missing_key(policy_path, contract, sources):
         loaded_policy = Policy.load(policy_path, contract, deployment)
     assigned, torque_limits = _parse_motor_limits(motors, effort, robot)
-    with _propose_joint_names(contract or policy_path.with_suffix(".toml")):
-        find_joint_indices(robot, loaded_policy)
+    _check_joints(robot, loaded_policy, contract or policy_path.with_suffix(".toml"))
     robot, loaded_policy = replace_efforts(robot, loaded_policy, torque_limits)
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
@@ -331,22 +330,18 @@ def _explain_missing_key(
         raise explained from error
 
 
-@contextmanager
-def _propose_joint_names(template: Path) -> Iterator[None]:
-    """Add a command to the error about a policy without joint names for some of the joints.
+def _check_joints(robot: Robot, policy: Policy, template: Path) -> None:
+    """Raise an error if the joints of a policy are not the robot's, with a command if one helps.
 
-    The command writes a template, which contains the names. There is no command if the template
-    exists, or if the policy commands more joints than the robot has.
+    If the policy names no joints and commands fewer than the robot has, the command writes the
+    TOML file ``template``, which contains the names. There is no command if this file exists.
     """
+    from pupper_analysis.tools.walk.runs import find_joint_indices
+
     try:
-        yield
+        find_joint_indices(robot, policy)
     except ModelError as error:
-        counts = error.cause.values
-        if (
-            error.cause.code == "joints-of-policy"
-            and counts["policy"] < counts["robot"]
-            and not path_exists(template)
-        ):
+        if policy.contract.num_joints < robot.nu and not path_exists(template):
             error.add_note(_complete_template_command())
         raise
 
