@@ -1041,6 +1041,38 @@ def test_a_missing_mesh_of_an_mjcf_is_an_error(bits: str, tmp_path: Path) -> Non
     assert bool(find_findings(result, "ground-not-met")) == bool(bits)
 
 
+@pytest.mark.parametrize(
+    ("part", "mesh", "loads"),
+    [
+        ("collision", "meshes\\a.stl", True),
+        ("collision", "gone.stl", False),
+        ("visual", "gone.stl", True),
+    ],
+)
+def test_missing_mesh_of_a_urdf_is_refused_by_mujoco_as_the_rule_states(
+    part: str, mesh: str, loads: bool, tmp_path: Path
+) -> None:
+    """Reference: bare MuJoCo, which refuses missing meshes of collision shapes alone, and reads
+    backslashes as slashes.
+    """
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "meshes" / "a.stl")
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="r"><link name="b"><inertial><mass value="1"/><inertia ixx="0.002"'
+        ' iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f'<{part}><geometry><mesh filename="{mesh}"/></geometry></{part}></link></robot>'
+    )
+    (finding,) = find_findings(audit_model(path), "mesh-missing")
+    assert finding.severity == ("warning" if part == "visual" else "error")
+    assert "refuses an MJCF, and a URDF if the shape collides" in RULES["mesh-missing"].why
+    if loads:
+        mujoco.MjModel.from_xml_path(str(path))
+    else:
+        with pytest.raises(ValueError, match="gone.stl"):
+            mujoco.MjModel.from_xml_path(str(path))
+
+
 COM, INERTIA = ("0.03866 0.03585", "0.03866 -0.03585"), ("-3.5e-05", "3.5e-05")
 LOST_SIGNS = [
     *((rule, f"{of} leg_front_l_3", *sign) for of in ("urdf link", "mjcf body")
