@@ -45,8 +45,13 @@ class ContactParameters:
 
     @property
     def sliding_friction(self) -> float:
-        """Friction coefficient of sliding [1]; 0 for a frictionless contact (``condim`` 1)."""
-        return self.friction[0] if self.condim > 1 else 0.0
+        """Friction coefficient of sliding [1]; 0 for a frictionless contact.
+
+        A contact is frictionless if ``condim`` is 1, or if the coefficient is at most ``mjMINMU``
+        (1e-5). MuJoCo raises all smaller coefficients, zero too, to this value.
+        """
+        slide = self.friction[0]
+        return slide if self.condim > 1 and slide > mujoco.mjMINMU else 0.0
 
     @property
     def rolling_friction(self) -> float:

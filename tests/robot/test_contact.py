@@ -81,6 +81,23 @@ def test_contact_of_condim_1_has_no_sliding_friction() -> None:
     assert contact.combine_geoms(ball_on_plane(values, values), 0, 1).sliding_friction == 0.7
 
 
+@pytest.mark.parametrize("friction", [0.0, 1e-9, 1e-5])
+def test_friction_up_to_the_minimum_of_mujoco_is_no_friction(friction: float) -> None:
+    """Reference: a sliding ball, which MuJoCo decelerates by 1e-5 g for each of these values."""
+    values = {"condim": 3, "friction": (friction, 0.0, 0.0)}
+    model = ball_on_plane(values, values)
+    assert contact.combine_geoms(model, 0, 1).sliding_friction == 0.0
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    mujoco.mj_forward(model, data)
+    force = np.zeros(6)
+    mujoco.mj_contactForce(model, data, 0, force)
+    assert force[0] > 0
+    assert np.hypot(*force[1:3]) == pytest.approx(mujoco.mjMINMU * force[0], rel=1e-6)
+    values["friction"] = (2e-5, 0.0, 0.0)
+    assert contact.combine_geoms(ball_on_plane(values, values), 0, 1).sliding_friction == 2e-5
+
+
 def test_foot_contacts_of_a_robot_equal_mujoco(robot: pa.Robot, stand: pa.Stand) -> None:
     """Reference: the four contacts in MuJoCo's data with the feet 1 mm deeper.
 
