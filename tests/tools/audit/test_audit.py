@@ -1069,7 +1069,7 @@ def test_missing_mesh_of_a_urdf_is_refused_by_mujoco_as_the_rule_states(
     if loads:
         mujoco.MjModel.from_xml_path(str(path))
     else:
-        with pytest.raises(ValueError, match="gone.stl"):
+        with pytest.raises(ValueError, match=r"gone\.stl"):
             mujoco.MjModel.from_xml_path(str(path))
 
 
