@@ -26,6 +26,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base import array_types
 from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, word_files
+from pupper_analysis.base.diagnostics.templates import OPTIONAL_TEXT
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, RULES
 
@@ -166,11 +167,47 @@ def _make_index(
 
 
 def _simplify_template(template: str) -> str:
-    """Return a template with the names of its values, and with all optional texts."""
-    text = re.sub(r"\[!?\w+\?([^\[\]]*)\]", r"\1", template)
-    text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", text)
+    """Return a template with the names of its values, and with optional texts in brackets."""
+    text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", template)
     text = re.sub(r"(?<!\{)\{(\w+)[^{}]*\}(?!\})", r"⟨\1⟩", text)
+    text = re.sub(rf"(?:{OPTIONAL_TEXT.pattern})+", _bracket_optional_texts, text)
     return text.replace("{{", "{").replace("}}", "}")
+
+
+_SEPARATOR = re.compile(r"[\s,.;:()，。；：、！？（）]")  # noqa: RUF001 - Chinese punctuation
+"""Pattern of a character that separates two successive optional texts of a message."""
+
+
+def _bracket_optional_texts(found: re.Match[str]) -> str:
+    """Return successive optional texts of a template in brackets: "[+ / -]", "[beyond ⟨limit⟩]".
+
+    Two texts are alternatives, separated by " / ", if their conditions exclude each other, as in
+    ``[more?+][!more?-]``. They are also alternatives if no separator is between them, as in
+    ``[slow?slows down][fast?diverges]``: a message with both texts would not be readable.
+    """
+    groups: list[list[str]] = []
+    last = ("", "", "")
+    for current in OPTIONAL_TEXT.findall(found[0]):
+        (negation, name, text), (last_negation, last_name, last_text) = current, last
+        opposite = name == last_name and negation != last_negation
+        ends = last_text[-1:], text[:1]
+        glued = all(end and not _SEPARATOR.fullmatch(end) for end in ends)
+        if opposite or glued:
+            groups[-1].append(text)
+        else:
+            groups.append([text])
+        last = current
+    return "".join(map(_bracket_alternatives, groups))
+
+
+def _bracket_alternatives(texts: Sequence[str]) -> str:
+    """Return texts as "[one / two]"; spaces at their ends are outside of the brackets."""
+    written = [text for text in texts if text.strip()]
+    if not written:
+        return ""
+    before = " " if any(text[0] == " " for text in written) else ""
+    after = " " if any(text[-1] == " " for text in written) else ""
+    return f"{before}[{' / '.join(text.strip() for text in written)}]{after}"
 
 
 def make_results_pages(words: Mapping[str, Any], language: str) -> dict[str, str]:

@@ -360,7 +360,7 @@ def test_generated_pages_escape_markup_and_simplify_templates() -> None:
     assert pages._escape_markdown("a_b *c* [d] `e_f` $g") == r"a\_b \*c\* \[d\] `e_f` \$g"
     template = "{name!r}[limit? beyond {limit:.2f}], {n|foot|feet}: write {{values = [1]}}"
     assert pages._simplify_template(template) == (
-        "⟨name⟩ beyond ⟨limit⟩, feet: write {values = [1]}"
+        "⟨name⟩ [beyond ⟨limit⟩], feet: write {values = [1]}"
     )
     lines = ["least |f_t| of name_, ``a_``", "code::", "", "    x_ = *y", "so *it*"]
     pages.escape_docstring(lines)
@@ -369,6 +369,36 @@ def test_generated_pages_escape_markup_and_simplify_templates() -> None:
         *("code::", "", "    x_ = *y"),
         r"so \*it\*",
     ]
+
+
+@pytest.mark.parametrize(
+    ("template", "simplified"),
+    [
+        ("[option?--force][!option?force=True] replaces it", "[--force / force=True] replaces it"),
+        ("{robot} [!why?站不住][why?站不住：{why}]", "⟨robot⟩ [站不住 / 站不住：⟨why⟩]"),
+        ("其[lower?低 {lower:.3g}][higher?高 {higher}]：", "其[低 ⟨lower⟩ / 高 ⟨higher⟩]："),
+        ("turn[share? at {share}][!share?, but not]", "turn [at ⟨share⟩ / , but not]"),
+        ("{what}[some? {some}][times? {times:g} times]", "⟨what⟩ [⟨some⟩] [⟨times⟩ times]"),
+        ("它[freed?克服后，][joints?，在 {joints}]抖动", "它[克服后，][，在 ⟨joints⟩]抖动"),
+        ("down[swing? ({swing})][!swing?]", "down [(⟨swing⟩)]"),
+    ],
+)
+def test_alternative_texts_of_a_template_are_separated(template: str, simplified: str) -> None:
+    """Opposite conditions, or texts without a separator between them, exclude each other; other
+    optional texts may occur together. Cases by hand."""
+    assert script("docs/pages.py")._simplify_template(template) == simplified
+
+
+def test_no_text_of_a_code_joins_two_alternatives(generated: Path) -> None:
+    """Each alternative is in brackets: texts that a case excludes are not read as one sentence."""
+    for language in ("en", "zh"):
+        page = "".join(
+            path.read_text()
+            for path in (generated / language / "reference/generated/diagnostics").glob("*.md")
+        )
+        assert page.count(" / ") > 70, language
+        assert "--forceforce=True" not in page
+        assert "无法站立无法站立" not in page
 
 
 def test_links_of_the_released_readme_point_to_its_tag() -> None:

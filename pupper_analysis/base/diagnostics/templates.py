@@ -297,7 +297,7 @@ def to_unicode(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-_OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
+OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 """Pattern of an optional text in a template. ``[name? text]`` is included if the value of ``name``
 is true in Python, ``[!name? text]`` if the value is false or missing.
 """
@@ -336,7 +336,7 @@ def fill_template(template: str, values: Mapping[str, Any], language: str) -> st
     Raises:
         KeyError: If the value of a placeholder is missing, except in an omitted optional text.
     """
-    included = _OPTIONAL_TEXT.sub(
+    included = OPTIONAL_TEXT.sub(
         lambda match: match[3] if bool(values.get(match[2])) != bool(match[1]) else "", template
     )
     return _TemplateFormatter(language).vformat(included, (), values)
