@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import io
 import multiprocessing.context
 import os
 import pickle
 import platform
 import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -31,12 +33,13 @@ from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.drivers import no_mujoco_log
 from pupper_analysis.base.errors import PupperAnalysisError, StudyError
 from pupper_analysis.base.provenance import list_versions
@@ -113,6 +116,33 @@ class ChunkOutcome:
     processor_seconds: float
 
 
+class _WorkUnpickler(pickle.Unpickler):
+    """Unpickler of a `WorkDefinition` that reports a function that a worker cannot import."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Import an attribute of a module.
+
+        Raises:
+            StudyError: If the module has no such attribute.
+        """
+        try:
+            return super().find_class(module, name)
+        except AttributeError as error:
+            code = "function-in-notebook" if module == "__main__" else "function-not-on-workers"
+            raise StudyError("measure", diagnose(code, function=name, module=module)) from error
+
+
+def load_definition(pickled: bytes) -> WorkDefinition:
+    """Return a pickled `WorkDefinition`.
+
+    Raises:
+        StudyError: If this process cannot import the function of a metric from its module.
+        ModuleNotFoundError: If the module does not exist.
+    """
+    definition: WorkDefinition = _WorkUnpickler(io.BytesIO(pickled)).load()
+    return definition
+
+
 class _ThreadCache(threading.local):
     """Cache per thread: builder of the designs, and metrics, of the study that is evaluated.
 
@@ -126,11 +156,12 @@ class _ThreadCache(threading.local):
         """Return the definition, builder and metrics of a pickled `WorkDefinition`.
 
         Raises:
-            StudyError: If package versions differ from those that the definition states.
+            StudyError: If package versions differ from those that the definition states, or the
+                function of a metric cannot be imported.
         """
         if pickled not in self.made:
             self.made.clear()  # a thread works on one study at a time
-            definition: WorkDefinition = pickle.loads(pickled)
+            definition = load_definition(pickled)
             installed = list_versions()
             differing = {
                 name: installed.get(name, "none")
@@ -233,9 +264,33 @@ def initialise_worker() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def confirm_ready() -> bool:
-    """Return True, to show that a worker process has started."""
+def confirm_ready(work: bytes) -> bool:
+    """Return True, to show that a worker process has started and can import all metrics.
+
+    Raises:
+        StudyError: If the process cannot import the function of a metric from its module.
+        ModuleNotFoundError: If the module does not exist.
+    """
+    load_definition(work)
     return True
+
+
+def has_main_file() -> bool:
+    """Return whether a new process can import the main program, as *spawn* does.
+
+    False if the program is read from standard input: its name ``<stdin>`` is no file. A notebook
+    has no name, and is not imported.
+    """
+    main = sys.modules["__main__"]
+    file = getattr(main, "__file__", None)
+    return getattr(main, "__spec__", None) is not None or file is None or Path(file).is_file()
+
+
+def explain_loss(error: BaseException) -> Diagnostic:
+    """Return the message for an error that a worker raised outside of the evaluation."""
+    if isinstance(error, ModuleNotFoundError):
+        return diagnose("module-not-on-workers", module=str(error.name))
+    return diagnose("workers-lost", error=type(error).__name__)
 
 
 def split_chunks(
@@ -383,10 +438,11 @@ class WorkerPool:
         executor: Executor of the caller, or None.
         workers: Number of processes, or of workers of the executor; None for the number that the
             executor reports, or a process per core.
+        work: Pickled `WorkDefinition`, which the processes must be able to load.
     """
 
-    def __init__(self, executor: Executor | None, workers: int | None) -> None:
-        self._given_executor = executor
+    def __init__(self, executor: Executor | None, workers: int | None, work: bytes) -> None:
+        self._given_executor, self._work = executor, work
         self.workers = workers or _count_workers(executor) or os.cpu_count() or 1
         self._executor = executor
         self._processes: list[BaseProcess] = []
@@ -417,18 +473,24 @@ class WorkerPool:
             return self._get_executor().submit(measure_designs, chunk)
 
     def check_startup(self) -> None:
-        """Check that worker processes can start. An executor of the caller is not checked.
+        """Check that worker processes can start and import all metrics.
+
+        An executor of the caller is not checked.
 
         Raises:
-            StudyError: If a process ends during startup.
+            StudyError: If a process ends during startup, or cannot import a metric.
         """
         if self._given_executor is None:
+            if not has_main_file():
+                raise StudyError("-", diagnose("main-program-is-no-file"))
             try:
                 with self._block_interrupts():
-                    ready = self._get_executor().submit(confirm_ready)
+                    ready = self._get_executor().submit(confirm_ready, self._work)
                 ready.result()
             except BrokenExecutor as error:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
+            except ModuleNotFoundError as error:
+                raise StudyError("measure", explain_loss(error)) from error
 
     def _get_executor(self) -> Executor:
         """Return the executor that evaluates designs; create the processes if there are none."""
@@ -530,7 +592,7 @@ class StudyRun:
             StudyError: If stored results cannot be read, or the workers are lost, for example.
             OutputError: If the results cannot be written.
         """
-        pool = WorkerPool(executor, workers)
+        pool = WorkerPool(executor, workers, self.work)
         source = self._make_chunks(self._find_missing(blocks), pool.workers)
         try:
             first = next(source, None)
@@ -636,10 +698,7 @@ class StudyRun:
                 if isinstance(error, BrokenExecutor):
                     self._restart_workers(pool, error)
                 return
-            finding = diagnose("workers-lost", error=type(error).__name__)
-            if isinstance(error, ModuleNotFoundError):
-                finding = diagnose("module-not-on-workers", module=str(error.name))
-            raise StudyError(self.store.folder, finding) from error
+            raise StudyError(self.store.folder, explain_loss(error)) from error
         self.progress.work += outcome.seconds
         self.progress.processor_time += outcome.processor_seconds
         self._store_rows(outcome.rows)

@@ -323,6 +323,56 @@ def test_workers_of_any_executor_write_no_log_of_mujoco(tmp_path: Path) -> None:
         assert list(made.run(tmp_path / "thread", executor=executor)["writes_log"]) == [before]
 
 
+NOTEBOOK = """
+import sys
+import pupper_analysis as pa
+from concurrent.futures import ThreadPoolExecutor
+
+def my_metric(robot, stand):
+    return stand.com_margin
+
+study = pa.Study("v3", {"leg_scale": [1.0]}, [my_metric])
+try:
+    study.run(sys.argv[1], workers=1)
+except pa.StudyError as error:
+    print(error)
+print(study.run(sys.argv[1], executor=ThreadPoolExecutor(1))["my_metric"][0])
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [(["-c", NOTEBOOK], "cannot import my_metric"), (["-"], "read from standard input")],
+    ids=["without a file", "standard input"],
+)
+@pytest.mark.slow
+def test_metric_of_a_notebook_is_refused_before_the_run(
+    arguments: list[str], expected: str, tmp_path: Path
+) -> None:
+    """Reference: the CoM margin of the stand in this process, which the thread reproduces."""
+    done = subprocess.run(
+        [sys.executable, *arguments, str(tmp_path)],
+        input=NOTEBOOK if arguments == ["-"] else "",
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=100,
+        check=True,
+    )
+    message, value = done.stdout.splitlines()
+    assert expected in message
+    assert "ThreadPoolExecutor(1)" in message
+    assert float(value) == pytest.approx(pa.solve_stand_as_simulated(load("v3")).com_margin)
+
+
+def test_a_function_that_a_worker_cannot_import_is_named() -> None:
+    """Reference: the messages for a notebook, and for another version of a module."""
+    for module, expected in (("__main__", "import my_metric"), ("math", "math .*has no my_metric")):
+        pickled = f"c{module}\nmy_metric\n.".encode()
+        with pytest.raises(pa.StudyError, match=expected):
+            running.load_definition(pickled)
+
+
 # ----------------------------------------------------------------------------- kills
 
 
