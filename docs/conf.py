@@ -86,20 +86,11 @@ def shorten_member_types(app: Any) -> None:
         app.add_directive_to_domain("py", name, WithShortType, override=True)
 
 
-def note_sources(app: Any, name: str, source: list[str]) -> None:
-    """Make API pages depend on the code that shortens their signatures."""
-    del source
-    if "/api/" in name:
-        for file in (HERE / "pages.py", HERE / "conf.py"):
-            app.env.note_dependency(str(file))
-
-
 def setup(app: Any) -> None:
     """Write the generated pages, and register the conversion of docstrings and signatures."""
     words = "zh" if app.config.language.startswith("zh") else "en"
     pages.write_pages(Path(str(app.srcdir)), words)
     shorten_member_types(app)
-    app.connect("source-read", note_sources)
     app.connect("autodoc-process-docstring", pages.escape_docstring)
     app.connect("autodoc-process-signature", pages.shorten_signature)
 
