@@ -94,7 +94,8 @@ def solve_stand_on_soft_ground(
         StanceUnreachableError: If the stance is unreachable on rigid ground, or with the feet in
             the soft ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the depths, or the openings of closed loops, do not converge.
+        NotSettlingError: If the depths, or the openings of closed loops, do not converge; or if the
+            contacts with the ground exert no force, because their ``solref`` is zero.
     """
     owner = robot
     if isinstance(task, Stand):
@@ -118,6 +119,9 @@ def solve_stand_on_soft_ground(
             foot: law.depth(max(0.0, float(held.contact_forces[foot] @ stand.normals[foot])))
             for foot, law in laws.items()
         }
+        sinking = [foot for foot, depth in depths.items() if depth == math.inf]
+        if sinking:
+            raise NotSettlingError(math.inf, diagnose("ground-without-force", feet=sinking))
         depths |= _fit_soles(robot, stand, depths)
         residual = np.array([depths[foot] - stand.depths[foot] for foot in depths])
         change = float(np.abs(residual).max(initial=0.0))

@@ -5,6 +5,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -17,7 +18,8 @@ from pupper_analysis.stance.soft_ground import (
     solve_stand_on_soft_ground,
 )
 from pupper_analysis.stance.stand import stand_statics
-from tests.support import random_legged
+from tests.support import random_legged, slips
+from tests.support.legged import rewrite_file
 from tests.support.variants import NAMES, load
 
 TASKS = {
@@ -156,3 +158,22 @@ def test_foot_depths_follow_from_their_loads(name: str) -> None:
         drop = rigid.foot_targets[foot] - feet[foot]
         np.testing.assert_allclose(drop, depth * normal, atol=1e-9)
         assert 1e-4 < depth < 8e-3
+
+
+def test_contact_without_stiffness_is_refused(tmp_path: Path) -> None:
+    """Reference: MuJoCo, in whose simulation the feet sink by more than their radius."""
+    pair = slips.standing(tmp_path)
+    rewrite_file(pair.mjcf, ('<geom type="sphere"', '<geom solref="0 0" type="sphere"'))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, 1000)
+    balls = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+    assert (data.geom_xpos[balls, 2] < 0).all()
+
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    with pytest.raises(pa.NotSettlingError) as refusal:
+        solve_stand_on_soft_ground(robot)
+    problem = refusal.value.diagnostic.values["problem"]
+    assert problem.code == "ground-without-force"
+    assert sorted(problem.values["feet"]) == sorted(robot.contact_points)
