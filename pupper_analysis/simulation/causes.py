@@ -191,10 +191,14 @@ def compute_creep_speeds(
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
     """Report the contact point with the largest creep speed, if above `MAX_CREEP_SPEED`.
 
-    Creep is the slow slip of a loaded contact (`compute_creep_speeds`). The list contains at most
-    one message.
+    Creep is the slow slip of a loaded contact (`compute_creep_speeds`). A contact point without
+    friction slides freely, and does not count. The list contains at most one message.
     """
-    speeds = compute_creep_speeds(robot, stand, prediction)
+    speeds = {
+        foot: speed
+        for foot, speed in compute_creep_speeds(robot, stand, prediction).items()
+        if robot.contacts[foot].sliding_friction > 0
+    }
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:
         return []

@@ -10,10 +10,16 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.simulation.causes import find_chatter, find_instability, proves_unrest
+from pupper_analysis.simulation.causes import (
+    find_chatter,
+    find_creep,
+    find_instability,
+    proves_unrest,
+)
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
 from pupper_analysis.simulation.stability import MAX_RESTING_SPEED, Nudge
-from tests.support.legged import quadruped
+from pupper_analysis.stance.stand import stand_statics
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.variants import load, stand_of
 
 
@@ -103,3 +109,22 @@ def test_response_that_proves_unrest_is_a_failure_with_all_excuses(
     is_harmless = left < MAX_RESTING_SPEED
     reported = find_instability(stability, nudge, is_harmless=is_harmless)
     assert proves_unrest(nudge) == bool(reported)
+
+
+@pytest.mark.parametrize(("solref", "creeps"), [("0.02 1", False), ("-5000 0", True)])
+def test_only_contacts_with_friction_creep(tmp_path: Path, solref: str, creeps: bool) -> None:
+    """Reference: MuJoCo's formula c = b d / ((1 - d) A_t), which is 0 for a foot without friction,
+    and for feet whose ``solref`` has no damping (b = 0). Only the latter transmit friction.
+    """
+    pair = quadruped(tmp_path, floor=True, actuators="position")
+    feet = f'<geom solref="{solref}" type="sphere"'
+    rewrite_file(pair.mjcf, ('<geom type="sphere"', feet))
+    rewrite_file(pair.mjcf, (feet, f'<geom condim="1" priority="1" {feet[6:]}'), count=1)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    stand = pa.solve_stand(robot)
+    statics = stand_statics(robot, stand)
+    messages = find_creep(robot, stand, statics)
+    slippery = [foot for foot in robot.contacts if robot.contacts[foot].condim == 1]
+    assert len(slippery) == 1
+    assert [message.code for message in messages] == ["foot-creeps"] * creeps
+    assert all(message.subject.name not in slippery for message in messages if message.subject)
