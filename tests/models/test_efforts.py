@@ -352,6 +352,23 @@ def test_smaller_of_two_limits_counts_with_its_file(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("effort", "is_reported"), [("80", False), ("0", False), (None, True), ("1e9", True)]
+)
+def test_effort_that_is_missing_or_a_placeholder_is_reported_as_missing(
+    tmp_path: Path, effort: str | None, is_reported: bool
+) -> None:
+    """An effort of zero is a motor without torque. Its note must not be that of a missing limit."""
+    pair = quadruped(tmp_path)
+    stated = "" if effort is None else f'effort="{effort}" velocity="20"'
+    robot = pa.load_robot(*_without_effort(pair, stated))
+    notes = {note.code: note for note in robot.notes}
+    assert ("effort-unstated" in notes) is is_reported
+    if is_reported:
+        assert list(notes["effort-unstated"].values["joints"]) == list(robot.joint_names)
+        assert "effort is 0" not in str(notes["effort-unstated"])
+
+
 @pytest.mark.slow
 def test_effort_is_read_from_the_mjcf_if_the_urdf_has_none(tmp_path: Path) -> None:
     """Reference: ctrlrange of the motors, 30 N m, and |torque| / 30 as motor utilisation; without
