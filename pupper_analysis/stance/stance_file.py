@@ -96,7 +96,7 @@ def read_task_of_results(file: str, text: str) -> StandTask:
     tasks = [stand.get("task") for stand in stands if isinstance(stand, Mapping)]
     given = next((task for task in tasks if isinstance(task, Mapping)), None)
     if given is None:
-        raise ConfigurationError(file, diagnose("results-without-stance"))
+        raise ConfigurationError(file, diagnose("results-without-stance", problem=""))
     try:
         task = StandTask.from_dict({**given, "ik_seed": None})
     except ConfigurationError as error:
