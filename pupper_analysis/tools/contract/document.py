@@ -50,15 +50,21 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     falls = tuple(_describe_falls(contract))
     worst = tuple(_describe_worst_disagreement(contract))
     has_findings = bool(contract.findings)
+    list_notes = tuple(map(doc.diagnostic_text, filter(_is_list_note, contract.notes)))
     messages: tuple[doc.Words, ...]
     if uncompared and not unread:
         verdict = text("contract-not-compared")
+        lists, two = _count_lists_not_read(contract), len(contract.sources) == 2
         counted = text(
             "contract-not-compared-count",
-            two=len(contract.sources) == 2,
+            two=two,
             findings=len(contract.findings) or None,
+            lists=lists or None,
+            both=two and not lists,
+            several=not (two or lists),
         )
-        messages = (counted, *_list_uncompared(contract))
+        messages = (counted, *list_notes, *_list_uncompared(contract))
+        list_notes = ()
     elif is_asymmetric:
         verdict = text("contract-asymmetric")
         messages = (_count_asymmetries(contract), *worst)
@@ -85,7 +91,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
             messages[0],
             *falls,
             *messages[1:],
-            *map(doc.diagnostic_text, filter(_is_list_note, contract.notes)),
+            *list_notes,
             *(() if is_brief else (_list_compared(contract),)),
             *(() if is_brief or falls else (evidence,)),
         ),
@@ -98,6 +104,12 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 def _is_list_note(note: Diagnostic) -> bool:
     """Return True for the note on lists of joint numbers that were not read."""
     return note.code == "contract-lists-not-read"
+
+
+def _count_lists_not_read(contract: Contract) -> int:
+    """Return the number of lists of joint numbers that were not read."""
+    names = (note.values["keys"] for note in contract.notes if _is_list_note(note))
+    return sum(len(keys) for keys in names if isinstance(keys, tuple))
 
 
 def _name_sources(contract: Contract) -> doc.Words:
@@ -192,7 +204,7 @@ def _shorten_source(contract: Contract, name: str) -> doc.Words:
 def select_next_step(contract: Contract, typed: Sequence[str] = ()) -> doc.NextStep:
     """Return the command to suggest next.
 
-    It is `crosscheck` of the models, `walk` with the files of the deployment, `gains` with the
+    It is `crosscheck` of the models, `contract` with ``-v`` for lists that were not read, `walk` with the files of the deployment, `gains` with the
     gains of a source (for example if these gains do not hold the default pose), `stand` or `hold`.
 
     Args:
@@ -212,10 +224,13 @@ def select_next_step(contract: Contract, typed: Sequence[str] = ()) -> doc.NextS
     if contract.findings and contract.floating and len(policies) == 1 and files is not None:
         words = (contract.model, *files, "--policy", policies[0])
         return doc.NextStep("walk", words, robot_typed=False)
+    is_uncompared_pair = is_uncompared(contract.facts, contract.sources)
+    if is_uncompared_pair and not contract.unread and _count_lists_not_read(contract):
+        return doc.NextStep("contract", (*typed, "-v"))
     gains = _format_shared_gains(contract)
     falls = any(pose.stays is False for pose in contract.poses)
     omitted = ("--map",)  # names that only other sources contain
-    is_one_sided = contract.findings and is_uncompared(contract.facts, contract.sources)
+    is_one_sided = contract.findings and is_uncompared_pair
     if gains and contract.floating and (falls or is_one_sided):
         model_and_gains = (contract.model, *gains)
         return doc.NextStep("gains", model_and_gains, robot_typed=False, omitted=omitted)

@@ -107,7 +107,7 @@ def test_next_command_is_crosscheck_if_urdf_and_mjcf_differ_else_walk(tmp_path: 
     sources = write_all(tmp_path)
     lines = run(tmp_path, URDF, MJCF, sources["policy.json"]).stdout.splitlines()
     assert lines[1] == (
-        "  kd of leg_front_r_1 (+11): 0.25 in policy.json, 0.1 N m s/rad in pupper_v3.xml"
+        "  kd of leg_front_r_1 and 11 more: 0.25 in policy.json, 0.1 N m s/rad in pupper_v3.xml"
     )
     assert lines[2].startswith("  next: pupper-analysis walk ")
     assert lines[2].endswith(f" --policy {sources['policy.json']}")
@@ -172,6 +172,16 @@ def test_sources_without_a_common_quantity_are_not_compared(tmp_path: Path) -> N
     assert result.returncode == 1
     assert result.stdout.startswith("NOT COMPARED pupper_v3.urdf and gym_cfg.py: no number in both")
     assert run(tmp_path, URDF, trainer, "--fail-on", "error").returncode == 0
+
+
+def test_lists_without_joint_names_are_the_reason_for_no_comparison(tmp_path: Path) -> None:
+    """Both sources state friction; the list of the second names no joints, so it is not read."""
+    lists = tmp_path / "identified.py"
+    lists.write_text(f"Kp = 20.0\nviscous_friction = {[0.1] * 12}\n")
+    lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()
+    assert lines[0] == "NOT COMPARED pupper_v3.urdf and identified.py: 1 list not read"
+    assert lines[1].startswith("  add joint names and [[contract.key]] for viscous_friction; ")
+    assert lines[2] == f"  next: pupper-analysis contract {URDF} {lists} --no-stand -v"
 
 
 def test_number_of_compared_numbers_excludes_numbers_of_one_source(tmp_path: Path) -> None:

@@ -323,7 +323,7 @@ def test_list_with_a_number_per_joint_under_an_unknown_key_is_reported(
     assert note.values["count"] == len(JOINTS)
     assert {fact.quantity for fact in found.facts if fact.source == name} == {"kp"}
     shown = [getattr(part, "short", "") for part in contract_document(found).findings]
-    assert "unread (no joint names): viscous_friction" in shown
+    assert "add joint names and [[contract.key]] for viscous_friction" in shown
 
 
 def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
@@ -337,7 +337,7 @@ def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
     )
     found = read_contract(URDF, path, stand=False)
     shown = [getattr(part, "short", "") for part in contract_document(found).findings]
-    assert "unread (unknown key): motor_friction" in shown
+    assert "unknown key: add [[contract.key]] for motor_friction" in shown
     rule = '[[contract.key]]\nquantity = "friction"\nnames = ["motor_friction"]\n'
     (tmp_path / "pupper-analysis.toml").write_text(rule)
     found = read_contract(URDF, path, stand=False)
