@@ -144,7 +144,7 @@ def command(
                 file, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
             )
         ]
-        left = audit_report.describe_counts(results[0])
+        left = audit_report.describe_counts(results[0].counts)
         click.echo(text("repairs-written", count=count, left=left).en, err=True)
     least = Severity(fail_on).rank
     passed = all(finding.severity.rank > least for result in results for finding in result.findings)

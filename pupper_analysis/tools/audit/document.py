@@ -7,7 +7,7 @@ CI systems, with the repairs as byte ranges.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,17 +49,20 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
-        findings=(join_words([describe_counts(audit), rules]), *_describe_worst_finding(audit)),
+        findings=(
+            join_words([describe_counts(audit.counts), rules]),
+            *_describe_worst_finding(audit),
+        ),
         next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
     )
 
 
-def describe_counts(audit: Audit) -> doc.Words:
+def describe_counts(counts: Mapping[Severity, int]) -> doc.Words:
     """Return a text with the number of findings by severity: ``1 error, 2 warnings, 0 notes``."""
     return join_words(
         text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
-        for severity, count in audit.counts.items()
+        for severity, count in counts.items()
     )
 
 

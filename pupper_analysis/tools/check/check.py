@@ -243,13 +243,18 @@ def _is_cause(remark: Remark) -> bool:
     return is_rule and RULES[remark.kind].precedence == 0
 
 
-def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Return the result of a pair of files with the numbers of its failing and known findings."""
-    pair_remarks = [
+def list_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> list[Remark]:
+    """Return the remarks on a pair of files, or on one of its files."""
+    return [
         remark
         for remark in remarks
         if remark.pair == pair.name or (not remark.pair and remark.file in pair.files)
     ]
+
+
+def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
+    """Return the result of a pair of files with the numbers of its failing and known findings."""
+    pair_remarks = list_pair_remarks(pair, remarks)
     known = count_findings(remark for remark in pair_remarks if remark.known)
     return replace(
         pair,

@@ -151,18 +151,23 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.base.inputs import is_folder, path_exists
     from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
-    from pupper_analysis.tools.check.config import write_config
+    from pupper_analysis.tools.check.config import CONFIG_NAME, write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))
     if not is_folder(folder):
         missing = not path_exists(folder) or None
         raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
-    path, pairs, singles = write_config(folder)
+    place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
+    try:
+        path, pairs, singles = write_config(folder)
+    except ConfigurationError as error:
+        if path_exists(folder / CONFIG_NAME):
+            error.add_note(f"{GENERATOR_NAME} check {place}".rstrip())
+        raise
     count = len(pairs) + len(singles)
     paired = f"{len(pairs)} paired" if pairs else "no pair of a URDF and an MJCF"
     click.echo(f"WRITTEN {path}: {count} {'model' if count == 1 else 'models'}, {paired}")
-    place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
     groups = {"paired": pairs, "without partner": singles}
     groups = {label: names for label, names in groups.items() if names}
     width = (MAX_ANSWER_WIDTH - 2) // max(len(groups), 1) - 2

@@ -21,11 +21,12 @@ from pupper_analysis.robot.compare.differences import describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import (
+    describe_counts,
     format_element,
     get_rule_text,
     summarise_finding,
 )
-from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
+from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck, list_pair_remarks
 from pupper_analysis.tools.check.remarks import REFUSED_KIND, Remark, count_findings
 
 
@@ -45,7 +46,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
                 text("stale"),
             )
         )
-    blocks.append(_tabulate_pairs(check.pairs))
+    blocks.append(_tabulate_pairs(check))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.diagnostic_text(note))
         for pair in check.pairs
@@ -59,32 +60,55 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         tuple(blocks),
         passed=check.passed,
         verdict=text("passed") if check.passed else text("FAILED"),
-        findings=(summarise_check(check), _describe_first_cause(check)),
+        findings=(_summarise_comparison(check), *_describe_first_cause(check)),
         next_step=_select_next_step(check),
     )
 
 
-def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
-    """Return the short answer: the first failing finding with its place, or what was checked."""
+def _summarise_comparison(check: RepositoryCheck) -> doc.Words:
+    """Return the numbers of findings, and that nothing was compared if there is no pair."""
+    is_single = [len(pair.files) == 1 for pair in check.pairs]
+    if check.failures or len(is_single) < 2 or not all(is_single):
+        return summarise_check(check)
+    return join_words([summarise_check(check), text("nothing-compared")], "semicolon")
+
+
+def _describe_first_cause(check: RepositoryCheck) -> Iterable[doc.Words]:
+    """Return the first finding to fix; if no finding fails, the first warning and what was checked.
+
+    Files that were not compared precede the warning.
+    """
+    first = check.remarks[0] if check.failures else _find_first_warning(check)
+    findings = () if first is None else (_describe_placed_finding(check, first),)
     if check.failures:
-        first = check.remarks[0]
-        place = doc.Name(relative_to_root(first.place or first.file))
-        finding = _describe_remark(first)
-        if _is_audit_rule(first):
-            alike = [remark for remark in check.remarks if remark.finding == first.finding]
-            finding = summarise_finding(first.kind, first.diagnostic, len(alike) - 1)
-        return text("first-to-fix", place=place, finding=finding)
+        return findings
     files = {file for pair in check.pairs for file in pair.files}
     single = [Path(pair.files[0]) for pair in check.pairs if len(pair.files) == 1]
     mjcfs = [file.name for file in single if file.suffix.lower() != ".urdf"]
-    has_pairs = len(single) < len(check.pairs)
-    return text(
+    unpaired = tuple(mjcfs) if len(single) < len(check.pairs) else ()
+    checked = text(
         "checked-pairs-and-files",
         pairs=len(check.pairs),
         files=len(files),
-        unpaired=tuple(mjcfs) if mjcfs and has_pairs else None,
-        alone=not has_pairs and len(single) > 1,
+        unpaired=unpaired or None,
     )
+    return (checked, *findings) if unpaired else (*findings, checked)
+
+
+def _describe_placed_finding(check: RepositoryCheck, remark: Remark) -> doc.Words:
+    """Return the text of a finding with its place."""
+    place = doc.Name(relative_to_root(remark.place or remark.file))
+    finding = _describe_remark(remark)
+    if _is_audit_rule(remark):
+        alike = [one for one in check.remarks if one.finding == remark.finding]
+        finding = summarise_finding(remark.kind, remark.diagnostic, len(alike) - 1)
+    return text("first-to-fix", place=place, finding=finding)
+
+
+def _find_first_warning(check: RepositoryCheck) -> Remark | None:
+    """Return the first new warning of a check; None without warnings."""
+    warnings = (one for one in check.remarks if not one.known and one.severity is Severity.WARNING)
+    return next(warnings, None)
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
@@ -186,7 +210,18 @@ def _make_remark_block(group: list[Remark]) -> doc.FileFinding:
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
-def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
+def _name_verdict(check: RepositoryCheck, pair: PairCheck) -> Text:
+    """Return the verdict of a pair: FAILED, WARNINGS for new warnings that pass, or OK."""
+    if pair.failures:
+        return text("FAILED").with_mark("bad")
+    suspect = any(
+        not remark.known and remark.severity is Severity.WARNING
+        for remark in list_pair_remarks(pair, check.remarks)
+    )
+    return text("audit-warnings" if suspect else "all-ok").with_mark("warn" if suspect else "good")
+
+
+def _tabulate_pairs(check: RepositoryCheck) -> doc.Table:
     """Create the table of the checked pairs, with numbers of failing and known findings."""
     columns = (
         doc.Column(text("pair"), left=True),
@@ -198,12 +233,12 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(pair.name),
-            text("FAILED").with_mark("bad") if pair.failures else text("all-ok").with_mark("good"),
+            _name_verdict(check, pair),
             doc.number_cell(pair.failures, "g"),
             doc.number_cell(pair.known, "g"),
             doc.Name(", ".join(pair.files)),
         )
-        for pair in pairs
+        for pair in check.pairs
     ]
     return doc.Table(text("what-was-checked"), columns, tuple(rows))
 
@@ -212,15 +247,25 @@ def _tabulate_pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 
 def summarise_check(check: RepositoryCheck) -> Text:
-    """Return a line with the numbers of failing, less severe, known and stale findings."""
-    new = [remark for remark in check.remarks if not remark.known]
+    """Return a line with the numbers of failing, known and stale findings, and others by severity.
+
+    For example, ``1 to fix, 2 warnings``; ``0 errors, 2 warnings, 3 notes`` if no finding fails.
+    """
+    passing = [remark for remark in check.remarks if not remark.known and not remark.fails]
     counts = {
-        "count-to-fix": check.failures,
-        "count-of-less-severity-than": count_findings(remark for remark in new if not remark.fails),
-        "count-known": count_findings(remark for remark in check.remarks if remark.known),
-        "count-stale": len(check.stale),
+        severity: count_findings(remark for remark in passing if remark.severity is severity)
+        for severity in Severity
     }
-    parts = [text(key, count=n) for key, n in counts.items() if n or key == "count-to-fix"]
+    parts: list[doc.Words] = []
+    if check.failures or not passing:
+        parts.append(text("count-to-fix", count=check.failures))
+        counts = {severity: count for severity, count in counts.items() if count}
+    if counts:
+        parts.append(describe_counts(counts))
+    if known := count_findings(remark for remark in check.remarks if remark.known):
+        parts.append(text("count-known", count=known))
+    if check.stale:
+        parts.append(text("count-stale", count=len(check.stale)))
     found = join_words(parts)
     if check.updated:
         baseline = Name(str(check.baseline))

@@ -335,7 +335,7 @@ def test_remarks_fail_from_the_severity_of_fail_on(folder: Path) -> None:
     change(folder / "pupper-analysis.toml", "start-outside-limits", "gravity-unusual")
     result = run(folder)
     assert result.returncode == 0
-    assert "2 less severe findings that pass" in result.stdout
+    assert "PASSED pupper-analysis.toml: 0 errors, 0 warnings, 2 notes, 1 known\n" in result.stdout
     assert "start-outside-limits" not in result.stdout
     shown = run(folder, "--all").stdout
     assert "note audit start-outside-limits" in shown
@@ -384,7 +384,9 @@ def test_patterns_select_models_and_pair_them_by_name(folder: Path) -> None:
 
 def test_init_lists_all_models_and_refuses_an_existing_file(folder: Path) -> None:
     config = folder / "pupper-analysis.toml"
-    assert "already exists" in run(folder, "--init").stderr
+    refused = run(folder, "--init").stderr
+    assert "already exists" in refused
+    assert re.search(r"^  next: pupper-analysis check\b", refused, re.M)
     config.unlink()
     (folder / BASELINE).unlink()
     (folder / "scene.xml").write_text('<mujoco><include file="hopper.xml"/><worldbody/></mujoco>')
@@ -659,8 +661,9 @@ def test_passed_check_names_the_model_that_is_paired_with_no_urdf(tmp_path: Path
     files.mjcf.rename(tmp_path / "scene.xml")
     run(tmp_path, "--init")
     lines = run(tmp_path).stdout.splitlines()
-    assert lines[0].startswith("PASSED")
-    assert lines[1] == "  checked: 2 files; no pair of URDF and MJCF, so nothing was compared"
+    counts = "0 errors, 2 warnings, 2 notes"
+    assert lines[0] == f"PASSED pupper-analysis.toml: {counts}; no pair, so nothing was compared"
+    assert lines[1].startswith("  first: robot.urdf:129: foot0: no <inertial>: ")
     write_parts(tmp_path, quadruped(), quadruped())
     (tmp_path / "pupper-analysis.toml").unlink()
     run(tmp_path, "--init")
