@@ -4,7 +4,7 @@
 
     robot = pa.load_variant("long-leg")
     stand = pa.solve_stand(robot)
-    torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
+    torques = pa.stand_statics(robot, stand).joint_torques
     report = pa.verify_stand(robot, stand)
 
 Configurations and velocities are MuJoCo's qpos and qvel, with the joints in actuator order; see

@@ -41,6 +41,7 @@ from .stance.sag.steady_state import steady_state as steady_state
 from .stance.soft_ground import solve_stand_as_simulated as solve_stand_as_simulated
 from .stance.stand import solve_stand as solve_stand
 from .stance.stand import solve_stands as solve_stands
+from .stance.stand import stand_statics as stand_statics
 from .stance.task import StandTask as StandTask
 from .stance.whole_body import solve_posture as solve_posture
 from .statics.equilibrium import gravity_compensation as gravity_compensation

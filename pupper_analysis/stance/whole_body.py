@@ -174,7 +174,7 @@ def solve_posture(
 
     If ``start`` is a stand, its contacts and welds stay in place. Base and joints stay near the
     stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
-    ``pa.stance.stand_statics(robot, posture.stand)``. Otherwise the statics on level ground are
+    ``pa.stand_statics(robot, posture.stand)``. Otherwise the statics on level ground are
     ``pa.gravity_compensation(pa.Configuration(robot, posture.qpos))``.
 
     Args:

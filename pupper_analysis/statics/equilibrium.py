@@ -35,7 +35,7 @@ from pupper_analysis.statics.cone_program import (
     TangentialMetric,
     split_force,
 )
-from pupper_analysis.statics.contacts import Contacts, make_contacts
+from pupper_analysis.statics.contacts import Contacts, make_contacts_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,10 +251,13 @@ def gravity_compensation(
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
     (`Description.passive_joints`) have torques only if balance is impossible without these.
 
+    A configuration does not contain the ground, the swing feet and the contacts of a stand:
+    `stand_statics` computes the statics of a stand.
+
     Args:
         config: State of the robot. The velocity is ignored.
         contacts: Contact points that carry load. Default: all except points of welded or gripping
-            parts; none for a fixed base.
+            parts, on level ground; none for a fixed base.
         friction: Friction coefficient, for all contact points or per contact point. Default:
             MuJoCo's contact.
         normals: Per contact point, a direction out of the ground, shape (3,), in the world frame.
@@ -269,10 +272,11 @@ def gravity_compensation(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient, a normal, a depth or ``distribution`` is
-            invalid, for example. Also if a closed loop is open.
+            invalid, for example. Also if a closed loop is open, or if contact points that carry
+            load by default are not on level ground (`MAX_DEFAULT_INCLINATION`).
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
-    carrying = make_contacts(config.robot, contacts, friction, normals, depths)
+    carrying = make_contacts_in(config, contacts, friction, normals, depths)
     return balance_load(config, config.static_load(), carrying, distribution=distribution)
 
 

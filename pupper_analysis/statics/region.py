@@ -19,7 +19,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.statics.contacts import Contacts, make_contacts
+from pupper_analysis.statics.contacts import Contacts, make_contacts_in
 from pupper_analysis.statics.support_polygon import (
     find_extreme_positions,
     margin_of_position,
@@ -103,12 +103,13 @@ def support_region(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient, normal or depth is invalid, the base is
-            fixed, or an effort limit that is needed is unknown, for example.
+            fixed, or an effort limit that is needed is unknown, for example. Also if contact points
+            that carry load by default are not on level ground.
     """
     robot = config.robot
     robot.check_floating()
     robot.check_not_welded("the support region")
-    carrying = make_contacts(robot, contacts, friction, normals, depths)
+    carrying = make_contacts_in(config, contacts, friction, normals, depths)
     if not carrying.feet:
         raise ConfigurationError("contacts", diagnose("region-without-contacts"))
     points = carrying.points(config)

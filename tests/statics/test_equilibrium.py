@@ -120,7 +120,8 @@ def test_contact_forces_and_torques_balance_gravity(
     """References: Newton and Euler for the whole robot, and MuJoCo's inverse dynamics for the
     joints."""
     try:
-        result = pa.gravity_compensation(config, distribution=distribution)
+        feet = config.robot.contact_points
+        result = pa.gravity_compensation(config, feet, distribution=distribution)
     except pa.StaticsInfeasibleError:
         return  # test_feasible_balance_is_always_found judges refusals
     friction = config.robot.contacts[config.robot.contact_points[0]].sliding_friction
@@ -178,7 +179,10 @@ def test_distribution_is_optimal_among_feasible_perturbations(
     random = np.random.default_rng(seed)
     for distribution in DISTRIBUTIONS:
         try:
-            best = pa.gravity_compensation(config, friction=friction, distribution=distribution)
+            feet = config.robot.contact_points
+            best = pa.gravity_compensation(
+                config, feet, friction=friction, distribution=distribution
+            )
         except pa.StaticsInfeasibleError:
             return
         check_cones(best, friction)
@@ -487,6 +491,45 @@ def test_foot_that_would_pull_is_named_if_forces_are_below_one_newton() -> None:
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(pa.Configuration(robot, v3_at_zero().qpos), ["FR", "RR", "RL"])
     assert caught.value.feet == ("RR",)
+
+
+@pytest.mark.parametrize(
+    "task",
+    [pa.StandTask(swing={"FR": 0.02}), pa.StandTask(ground=pa.Ground(slope=0.1))],
+    ids=["swing foot", "slope"],
+)
+def test_default_contacts_off_level_ground_are_refused(task: pa.StandTask) -> None:
+    """Level ground under all feet gave the swing foot 2.3 N. References: weight, friction."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, task)
+    config = pa.Configuration(robot, stand.qpos)
+    for compute in (
+        pa.gravity_compensation,
+        pa.statics.support_region,
+        lambda config: pa.statics.inverse_dynamics(config, np.zeros(robot.nv)),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=r"pa\.stand_statics\(robot, stand\)"):
+            compute(config)  # type: ignore[operator]
+    partial = dict(list(stand.normals.items())[:2])
+    with pytest.raises(pa.ConfigurationError, match="contacts: "):
+        pa.gravity_compensation(config, normals=partial)
+    right = pa.stand_statics(robot, stand)
+    assert right.contact_forces.keys() == set(stand.stance_feet)
+    check_newton_euler(config, right)
+    stated = pa.gravity_compensation(config, stand.stance_feet, normals=stand.normals)
+    assert stated.joint_torques == pytest.approx(right.joint_torques, abs=1e-9)
+
+
+def test_default_contacts_on_level_ground_at_any_height_are_accepted() -> None:
+    """Gravity is uniform: height does not change the forces. A penetration is no inclination."""
+    config = at_stand("v3")
+    lifted = config.qpos.copy()
+    lifted[2] += 1.0
+    lifted[8] += 0.004  # less than a penetration of soft ground
+    result = pa.gravity_compensation(pa.Configuration(config.robot, lifted))
+    check_newton_euler(pa.Configuration(config.robot, lifted), result)
+    known = pa.gravity_compensation(config).joint_torques
+    assert result.joint_torques == pytest.approx(known, abs=0.02)
 
 
 def test_shared_contacts_are_read_only() -> None:

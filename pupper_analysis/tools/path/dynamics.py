@@ -23,7 +23,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.impedance import effective_solref
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.contacts import make_contacts
+from pupper_analysis.statics.contacts import make_contacts_in
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
 
 MAX_ACCELERATION = 1e9
@@ -94,7 +94,8 @@ def inverse_dynamics(
 
     Raises:
         ConfigurationError: If an argument is invalid, the robot has loops, couplings, welds or
-            grips, or a robot with a fixed base has contacts.
+            grips, or a robot with a fixed base has contacts. Also if contact points that carry load
+            by default are not on level ground.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     robot = config.robot
@@ -102,7 +103,7 @@ def inverse_dynamics(
     acceleration = check_vector("qacc", qacc, robot.nv)
     if (np.abs(acceleration) > MAX_ACCELERATION).any():
         raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=MAX_ACCELERATION))
-    carrying = make_contacts(robot, contacts, friction, normals, depths)
+    carrying = make_contacts_in(config, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive_forces()
     levers: dict[str, Array] = {}
