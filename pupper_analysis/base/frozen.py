@@ -49,6 +49,15 @@ def freeze(value: Any) -> Any:
     return value
 
 
+def freeze_fields(instance: object, *names: str) -> None:
+    """Make attributes of an instance read-only in place, as by `freeze`; skip missing attributes.
+
+    Needed after pickling, too: NumPy restores arrays as writeable.
+    """
+    own = vars(instance)
+    own.update({name: freeze(own[name]) for name in names if name in own})
+
+
 def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
     """Return {name: read-only copy} of named arrays.
 

@@ -25,6 +25,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.frozen import freeze
 from pupper_analysis.base.units import DOWNWARD_GRAVITY
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.additions import Addition
@@ -112,6 +113,7 @@ def build_robot(
         point: foot_site(mj_model, frame, description.mjcf_source)
         for point, (_, frame) in description.contact_points.items()
     }
+    places = {point: (body, freeze(centre)) for point, (body, centre) in places.items()}
     geoms = foot_geoms(description, mj_model, places)
     radius = {point: size for point, (_, size) in geoms.items()}
     feet = _group_contact_points(description)

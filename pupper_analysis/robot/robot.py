@@ -31,7 +31,7 @@ from pupper_analysis.base.errors import (
     ModelError,
     UnknownNameError,
 )
-from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.frozen import FrozenDict, freeze_fields
 from pupper_analysis.base.runs import is_command_line
 from pupper_analysis.base.units import EARTH_GRAVITY
 from pupper_analysis.models.attributes import known_positions
@@ -353,6 +353,9 @@ class Robot(EngineModels):
     touching: Mapping[str, Touching] = field(default_factory=FrozenDict)
     bare: Robot | None = field(default_factory=_make_none)
 
+    def __post_init__(self) -> None:
+        freeze_fields(self, "home", "nominal")
+
     if not TYPE_CHECKING:  # mypy would accept any attribute name
 
         def __getattr__(self, name: str) -> Any:
@@ -448,6 +451,7 @@ class Robot(EngineModels):
         for name, values in state.pop("limits", {}).items():
             setattr(state["pin_model"], name, values)
         vars(self).update(state)
+        self.__post_init__()
 
     @property
     def hands(self) -> tuple[str, ...]:

@@ -346,3 +346,33 @@ def test_unknown_foot_is_refused_with_the_names_of_both_files(tmp_path: Path) ->
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL") as other:
         load("v3").check_foot("left")
     assert (other.value.kind, other.value.name) == ("foot", "left")
+
+
+@pytest.mark.parametrize("pickled", [False, True])
+def test_shared_arrays_of_a_robot_are_read_only(pickled: bool) -> None:
+    """`load_robot` shares robots: a change of `nominal` changed all later stands."""
+    robot = load("v3")
+    if pickled:
+        robot = pickle.loads(pickle.dumps(robot))
+    shared = {
+        "home": robot.home,
+        "nominal": robot.nominal,
+        "position of a shape": robot.shapes[0].form.pose.position,
+        "rotation of a shape": robot.shapes[0].form.pose.rotation,
+        **vars(robot.mj_convention),
+        **vars(robot.pin_convention),
+    }
+    arrays = {name: value for name, value in shared.items() if isinstance(value, np.ndarray)}
+    assert {"home", "q_index", "qpos_index"} <= arrays.keys()
+    for name, array in arrays.items():
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        assert not array.flags.writeable, name
+
+
+def test_change_of_the_nominal_joints_does_not_change_later_stands() -> None:
+    robot = load("v3")
+    before = pa.solve_stand(robot).qpos
+    with pytest.raises(ValueError, match="read-only"):
+        robot.nominal[:] = 1.0
+    np.testing.assert_array_equal(pa.solve_stand(robot).qpos, before)
