@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import ast
 import sys
+import warnings
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -55,7 +57,7 @@ def make_lazy_exports(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, attribute = sources[name]
         if module == package:  # a submodule; getattr of the package would call this function again
-            return import_module(f"{package}.{attribute}")
+            return _import_module(f"{package}.{attribute}")
         value = _import_name(module, attribute)
         setattr(sys.modules[package], name, value)  # later accesses do not call this function
         return value
@@ -81,7 +83,20 @@ def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) ->
 
 def _import_name(module_name: str, name: str) -> Any:
     """Return an attribute of a module; import the submodule of that name if no attribute exists."""
-    module = import_module(module_name)
+    module = _import_module(module_name)
     if not hasattr(module, name):
-        return import_module(f"{module_name}.{name}")
+        return _import_module(f"{module_name}.{name}")
     return getattr(module, name)
+
+
+def _import_module(name: str) -> ModuleType:
+    """Import a module, without the warning that Pinocchio 3.8 itself causes.
+
+    Pinocchio imports Coal by its deprecated name ``hppfcl``. With ``python -W error`` this warning
+    would stop the import of this package.
+    """
+    if "pinocchio" in sys.modules:
+        return import_module(name)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Please update your 'hppfcl'", DeprecationWarning)
+        return import_module(name)

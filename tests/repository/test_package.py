@@ -142,3 +142,23 @@ def test_unknown_public_name_raises_attribute_error() -> None:
     with pytest.raises(AttributeError, match="Pupper"):
         pa.Pupper  # noqa: B018
     assert not hasattr(pa, "nothing")
+
+
+def test_robot_loads_if_warnings_are_errors(tmp_path: Path) -> None:
+    """Pinocchio 3.8 imports Coal by its deprecated name ``hppfcl``; other warnings stay errors."""
+    code = (
+        "import warnings, pupper_analysis as pa; warnings.simplefilter('error');"
+        "print(pa.load_robot('v3').nu);"
+        "warnings.warn('own', DeprecationWarning)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": ""},
+        check=False,
+        timeout=PATIENCE,
+    )
+    assert result.stdout.strip() == "12", result.stderr
+    assert "DeprecationWarning: own" in result.stderr
