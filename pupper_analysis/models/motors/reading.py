@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, path_exists, read_input, read_toml
@@ -45,6 +46,7 @@ def list_motors() -> tuple[str, ...]:
     )
 
 
+@check_arguments
 def find_motor(name: str) -> Motor:
     """Return a motor of this package by name, or read a motor from a TOML or JSON file.
 
@@ -54,6 +56,7 @@ def find_motor(name: str) -> Motor:
     Raises:
         UnknownNameError: If ``name`` is neither a known name nor a file, or a key of a file is
             unknown.
+        ConfigurationError: If ``name`` is no text.
         ModelError: If the file cannot be read, or is not valid. A ``name`` with a suffix is a file.
         OutputError: If this run of the command line also writes the file.
     """

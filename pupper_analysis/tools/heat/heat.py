@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
+from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import (
     ThermalNetwork,
     compute_continuous_torque,
@@ -220,7 +221,7 @@ class HeatStudy(Result):
 def study_heat(
     robot: Robot,
     stance: StandTask | Stand,
-    motors: Mapping[str, Motor],
+    motors: Mapping[str, Motor | str],
     *,
     ambient: float | None = None,
     limit: float | None = None,
@@ -231,17 +232,20 @@ def study_heat(
     Args:
         robot: Robot.
         stance: Stand task, or a stand that satisfies a task on rigid ground.
-        motors: {joint: motor}.
+        motors: {joint: motor}; each motor also as a name or file (`find_motor`).
         ambient: Temperature of the ambient air [degC]. Default: the value in each motor's data.
         limit: Largest temperature of the windings [degC]. Default: the value in each motor's data.
         battery_energy: Energy of the battery [J].
 
     Raises:
         StanceUnreachableError: If the stance is out of reach.
+        UnknownNameError: If the robot has no such joint, or a name of a motor is unknown.
+        ModelError: If the file of a motor cannot be read, or is not valid, for example.
         ConfigurationError: If an argument is not valid, no joint of the robot has a motor, or a
             slide has a motor. Also if the limit is not above the ambient temperature.
     """
     _check_conditions(ambient, limit, battery_energy)
+    motors = _find_motors(robot, motors)
     robot, stand = resolve_stance(robot, stance)
     held = solve_stand_as_simulated(robot, stand)
     torques = stand_statics(robot, held).joint_torques
@@ -284,6 +288,17 @@ def study_heat(
         temperatures=compute_curves(times),
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
     )
+
+
+def _find_motors(robot: Robot, motors: Mapping[str, Motor | str]) -> dict[str, Motor]:
+    """Return {joint: motor}, with motors instead of names; an unknown joint raises an error."""
+    found = dict[str, Motor]()
+    for joint, motor in motors.items():
+        if joint not in robot.joint_names:
+            raise UnknownNameError(robot.name, "joint", joint, robot.joint_names)
+        check_type(f"motors[{joint}]", motor, Motor | str)
+        found[joint] = find_motor(motor) if isinstance(motor, str) else motor
+    return found
 
 
 def _check_conditions(

@@ -545,3 +545,27 @@ def test_each_column_of_the_table_has_its_number() -> None:
     cool = replace(study, motors=(motor,))
     losses = [get_english(one) for one in heat_document(cool).findings]
     assert "copper loss of all motors 13.5 W = 0.562 A at 24 V" in losses
+
+
+def test_motor_of_an_unknown_joint_raises_with_similar_names() -> None:
+    motors = motors_of(find_motor("dephy-actpack"))
+    with pytest.raises(pa.UnknownNameError, match=r"no joint 'leg_front_r_4'.*leg_front_r_") as it:
+        study_heat(load("v3"), stand_of("v3"), motors | {"leg_front_r_4": motors["leg_front_r_1"]})
+    assert it.value.name == "leg_front_r_4"
+
+
+@pytest.mark.parametrize("junk", [3, None])
+def test_object_that_is_no_motor_raises(junk: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match=r"leg_front_r_1.* is not a Motor or a text"):
+        study_heat(load("v3"), stand_of("v3"), {"leg_front_r_1": junk})  # type: ignore[dict-item]
+    with pytest.raises(pa.ConfigurationError, match=r"name: .* is not a text"):
+        find_motor(junk)  # type: ignore[arg-type]
+
+
+def test_motor_by_name_equals_the_motor() -> None:
+    robot, joint = load("v3"), "leg_front_r_1"
+    named = study_heat(robot, stand_of("v3"), {joint: "dephy-actpack"})
+    given = study_heat(robot, stand_of("v3"), {joint: find_motor("dephy-actpack")})
+    assert named.motors == given.motors
+    with pytest.raises(pa.UnknownNameError, match="dephy-actpack"):
+        study_heat(robot, stand_of("v3"), {joint: "dephy-actpak"})
