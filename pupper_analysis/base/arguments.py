@@ -49,7 +49,9 @@ def check_finite(name: str, value: object) -> float:
     Raises:
         ConfigurationError: If the value is no finite real number, or a bool.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if isinstance(value, np.ndarray) and not value.ndim and value.dtype != object:
+        value = value[()]  # the number in an array of shape ()
+    if isinstance(value, _BOOLEAN_TYPES) or not isinstance(value, Real):
         raise ConfigurationError(name, diagnose("no-number", value=reprlib.repr(value)))
     try:
         number = float(value)

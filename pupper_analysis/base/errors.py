@@ -177,6 +177,8 @@ class UnknownNameError(ModelError):
         known: Valid names.
         base: Valid name of the robot's base link. The message lists this name first if the unknown
             name is a usual name of a base, such as "base" or "trunk".
+        first: Valid names that belong to the unknown name, such as the frames of a foot. The
+            message lists these names first.
 
     Attributes:
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
@@ -192,6 +194,7 @@ class UnknownNameError(ModelError):
         known: Iterable[str],
         *,
         base: str | None = None,
+        first: Sequence[str] = (),
     ) -> None:
         self.kind = kind
         self.name = name
@@ -199,13 +202,15 @@ class UnknownNameError(ModelError):
         given = name if isinstance(name, str) else reprlib.repr(name)
         listed = _sort_by_words(given, self.known)
         if base is not None and given.lower() in _BASE_NAMES:
-            listed = tuple(dict.fromkeys((base, *listed)))
+            first = (base, *first)
+        listed = tuple(dict.fromkeys((*first, *listed)))
         if len(self.known) > MAX_LISTED_NAMES:
             listed = listed[:NUM_CLOSE_NAMES]
         problem = diagnose(
             "name-unknown",
             kind=Term(kind),
             unknown=given,
+            no_text=None if isinstance(name, str) else True,
             known=listed,
             others=len(self.known) - len(listed),
         )

@@ -270,11 +270,23 @@ class Configuration(Pictured):
         return result
 
     def _frame_index(self, name: str) -> int:
-        """Return the index of a link's frame in Pinocchio; UnknownNameError for an unknown link."""
+        """Return the index of a link's frame in Pinocchio.
+
+        Raises:
+            UnknownNameError: If the URDF has no such link. For a foot, the message lists the frames
+                of its contact points first.
+        """
         index = self._structure.links.get(name) if isinstance(name, str) else None
         if index is None:
+            robot = self.robot
             links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]
-            raise UnknownNameError(self.robot.name, "link", name, links, base=self.robot.base)
+            points = robot.feet.get(name, (name,)) if isinstance(name, str) else ()
+            frames = [
+                robot.contact_frames[point] for point in points if point in robot.contact_frames
+            ]
+            raise UnknownNameError(
+                robot.name, "link", name, links, base=robot.base, first=[*dict.fromkeys(frames)]
+            )
         return index
 
     def _jacobian(self, frame: int) -> Array:

@@ -304,7 +304,9 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
     """Return a matrix (n, count), also from a vector (count,); ConfigurationError if not valid."""
     matrix = np.atleast_2d(real_array(name, values))
     if matrix.ndim != 2 or matrix.shape[1] != count:
-        problem = diagnose("array-of-another-shape", size=count, shape=str(matrix.shape))
+        problem = diagnose(
+            "array-of-another-shape", size=count, shape=str(np.shape(values)), rows=True
+        )
         raise ConfigurationError(name, problem)
     if not np.isfinite(matrix).all():
         index = int(np.flatnonzero(~np.isfinite(matrix))[0])

@@ -18,6 +18,7 @@ from weakref import ref
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -213,6 +214,7 @@ class Stand(Pictured, Tabular):
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
+    @check_arguments
     def for_task(self, task: StandTask) -> Stand:
         """Return a copy of this stand with a new task, without a check that the stand satisfies it.
 
@@ -292,6 +294,7 @@ class Stand(Pictured, Tabular):
         """Return the joint positions of this stand in actuator order, shape (nu,) [rad, m]."""
         return self.qpos[robot.nq - robot.nu :]
 
+    @check_arguments
     def with_robot(self, robot: Robot) -> Stand:
         """Return a copy of this stand that references a robot, as `ctrl` and `q_pin` require.
 

@@ -182,9 +182,24 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
             lambda: pa.payload_limit(load("v3"), point="base_link"),
             "('base_link', 0, 0, 0.08), in m",
         ),
-        (lambda: pa.payload_limit(load("v3"), point=5), "('base', 0, 0, 0.08), in m"),
+        (lambda: pa.payload_limit(load("v3"), point=5), "(robot.base, 0, 0, 0.08), in m"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
         (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each element a StandTask"),
+        (lambda: stand_of("v3").for_task(3), "task: 3 is not a StandTask"),
+        (lambda: stand_of("v3").with_robot(3), "robot: 3 is not a Robot"),
+        (
+            lambda: pa.Configuration(load("v3"), stand_of("v3").qpos).frame_jacobian(None),
+            "v3: no link None; ",
+        ),
+        (
+            lambda: load("v3").jacobian_to_mujoco(stand_of("v3").qpos, np.zeros((3, 5))),
+            "shape (3, 5) is wrong; required: (n, 18)",
+        ),
+        (
+            lambda: pa.verify_stand(load("v3"), stand_of("v3"), integrator="foo"),
+            "integrator: 'foo' is unknown; valid: Euler",
+        ),
+        (lambda: pa.StandTask(height=np.array(True)), "height: "),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
         (lambda: pa.cross_check(load("v3"), seed=-1), "seed: -1 is not a whole number"),
         (lambda: pa.audit_model(5), "path: 5 is not a robot; give a path, a name"),
@@ -386,3 +401,9 @@ def test_patterns_select_the_chosen_names_and_no_others(
     assert sorted(patterns) == sorted(expected)
     selected = {name for one in patterns for name in match_names(one, [*chosen, *others])}
     assert selected == set(chosen)
+
+
+def test_number_in_an_array_without_dimensions_is_a_number() -> None:
+    assert pa.StandTask(height=np.array(0.12)) == pa.StandTask(height=0.12)
+    with pytest.raises(pa.ConfigurationError, match="height"):
+        pa.StandTask(height=np.array([0.12]))

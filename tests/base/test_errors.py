@@ -78,7 +78,7 @@ def test_names_with_the_same_words_come_before_similar_names(
         ),
         (pa.ModelError("a/b.xml", "no joint x"), ["a/b.xml", "no joint x"]),
         (pa.UnknownNameError("v3", "foot", "tail", ["FR", "FL"]), ["v3", "foot 'tail'", "FR, FL"]),
-        (pa.UnknownNameError("v3", "foot", "tail", []), ["there are: -"]),
+        (pa.UnknownNameError("v3", "foot", "tail", []), ["there are: none"]),
         (pa.ConfigurationError("kp", "-1 is negative"), ["kp", "-1 is negative"]),
         (
             StanceUnreachableError("height 1 m", {"FR": 0.0123}, {"knee": -2.6}),

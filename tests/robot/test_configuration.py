@@ -462,3 +462,13 @@ def test_centroidal_map_of_massless_links_is_the_rotational_inertia(tmp_path: Pa
         pa.Configuration(massless, qpos + step * qvel).centroidal_map() for step in (-1e-5, 1e-5)
     )
     np.testing.assert_allclose(variation, (after - before) / 2e-5, atol=1e-8)
+
+
+def test_error_about_a_foot_lists_its_frame_first() -> None:
+    """`frame_jacobian` accepts links, not feet: the position on a foot would be ambiguous."""
+    robot = load("v3")
+    config = pa.Configuration(robot, robot.neutral())
+    for compute in (config.frame_jacobian, config.frame_position):
+        for foot, frame in robot.contact_frames.items():
+            with pytest.raises(pa.UnknownNameError, match=f"no link '{foot}'; .*: {frame}, "):
+                compute(foot)
