@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import astuple, fields, is_dataclass
 from enum import Enum
 from html import escape
 from typing import Any
@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, format_number
-from pupper_analysis.base.units import units_of
+from pupper_analysis.base.units import (
+    MIXED_UNITS,
+    POSITION_UNIT,
+    VARYING_UNIT,
+    JointUnits,
+    find_common_units,
+)
 
 MAX_SHOWN_NUMBERS = 12
 """Largest number of elements of a vector that a table cell shows on one line. Chosen: number of
@@ -62,16 +68,134 @@ def render_result(result: object) -> str:
             rows, too.
     """
     kind: Any = type(result)
-    units = units_of(kind)
+    units = get_field_units(result)
     names = [f.name for f in fields(kind) if not f.name.startswith("_")]
     names += [name for name in getattr(result, "_reported", ()) if name not in names]
     rows = [(name, format_value(value), "") for name, value in list_warnings(result)]
     for name in names:
-        value = getattr(result, name)
-        nested = _is_result(value) and len(_get_text(value)) > MAX_TEXT_LENGTH
-        shown = _fold(value, is_open=len(names) <= MAX_SHOWN_ROWS) if nested else None
-        rows.append((name, shown or format_value(value), units.get(name, "")))
+        value, unit = getattr(result, name), units.get(name, "")
+        if _is_result(value) and describe_dataclass(value) is None:
+            shown = _fold(value, is_open=len(names) <= MAX_SHOWN_ROWS)
+        else:
+            shown = format_value(_name_joints(result, name, value), unit)
+        rows.append((name, shown, unit if isinstance(unit, str) else ""))
     return render_table(kind.__name__, rows)
+
+
+def get_field_units(result: object) -> dict[str, str | Mapping[str, str]]:
+    """Return {field: unit} of a result, ``1`` for ratios; empty for texts and unknown units.
+
+    A varying unit is in the field or property ``unit``. A field such as ``joint_error_unit``
+    contains the unit of ``joint_error``. Units of joint quantities are those of the result's
+    joints, if the result contains them. A unit {key: unit} belongs to the entries of a mapping.
+    """
+    kind: Any = type(result)
+    stated = {field.name: field.metadata.get("unit", "") for field in fields(kind)}
+    own = getattr(result, "unit", "")
+    for name, unit in stated.items():
+        beside = getattr(result, f"{name}_unit", "")
+        if unit == VARYING_UNIT:
+            stated[name] = own if isinstance(own, str) else ""
+        elif isinstance(beside, str) and beside:
+            stated[name] = beside
+    special: Mapping[str, str | Mapping[str, str]] = getattr(result, "_field_units", dict)()
+    return {**replace_joint_units(result, stated), **special}
+
+
+def replace_joint_units(result: object, units: Mapping[str, str]) -> dict[str, str]:
+    """Replace units of hinges and slides, such as ``N m or N``, by the unit of a result's joints.
+
+    Units are unchanged if the result does not contain units of joints, or has hinges and slides.
+    """
+    found: Any = getattr(result, "torque_units", None)
+    found = found or getattr(getattr(result, "statics", None), "torque_units", None)
+    common = getattr(result, "units", None)
+    if found:
+        common = find_common_units(found.values() if isinstance(found, Mapping) else found)
+    if not isinstance(common, JointUnits):
+        return dict(units)
+    replaced = dict(zip(astuple(MIXED_UNITS), astuple(common), strict=True))
+    return {name: replaced.get(unit, unit) for name, unit in units.items()}
+
+
+def _name_joints(result: object, name: str, value: object) -> object:
+    """Return {joint: value} for a vector with a value per joint, else the value unchanged.
+
+    Names of such fields start with ``joint_`` or ``motor_``, or end with ``_torques``.
+    """
+    joints = getattr(result, "joint_names", ())
+    is_of_joints = name.startswith(("joint_", "motor_")) or name.endswith("_torques")
+    is_vector = isinstance(value, np.ndarray) and value.shape == (len(joints),)
+    if not (joints and is_of_joints and is_vector and isinstance(value, np.ndarray)):
+        return value
+    return dict(zip(joints, zero_rounding_errors(value), strict=True))
+
+
+def describe_dataclass(value: object, unit: str = "") -> str | None:
+    """Return the fields of an object as text: ``mass 5.44 kg, failure ...``.
+
+    None if a field has no short text, or the text is longer than `MAX_TEXT_LENGTH`.
+
+    Args:
+        value: Instance of a dataclass.
+        unit: Unit of positions, if the container of the object states their unit.
+    """
+    kind: Any = type(value)
+    items = []
+    units = get_field_units(value)
+    for name in (field.name for field in fields(kind) if not field.name.startswith("_")):
+        text = _describe_simple(getattr(value, name))
+        if text is None:
+            return None
+        own = units.get(name, "")
+        items.append(_join_unit(name, text, unit if unit and own == POSITION_UNIT else own))
+    text = ", ".join(items)
+    return text if len(text) <= MAX_TEXT_LENGTH else None
+
+
+def _summarise_dataclass(value: object, unit: str) -> str:
+    """Return the text of an object in a list: the simple fields that fit, key fields first."""
+    if (text := describe_dataclass(value, unit)) is not None:
+        return text
+    kind: Any = type(value)
+    units, items = get_field_units(value), []
+    public = [field.name for field in fields(kind) if not field.name.startswith("_")]
+    for name in dict.fromkeys((*getattr(value, "_key_fields", ()), *public)):
+        text = _describe_simple(getattr(value, name))
+        if text is None or getattr(value, name) is None:
+            continue
+        items.append(_join_unit(name, text, units.get(name, "")))
+        if len(", ".join(items)) > MAX_TEXT_LENGTH:
+            return ", ".join([*items[:-1], "..."])
+    return ", ".join([*items, "..."])
+
+
+def _join_unit(name: str, text: str, unit: object) -> str:
+    """Return ``name text unit``; without the unit if it is 1, or if there is no value."""
+    has_unit = isinstance(unit, str) and unit not in ("", "1") and text != "none"
+    return f"{name} {text} {unit}" if has_unit else f"{name} {text}"
+
+
+def _describe_simple(value: object) -> str | None:
+    """Return the text of a number, text, enum or short list; None for other objects."""
+    if value is None:
+        return "none"
+    if isinstance(value, Diagnostic | str):
+        return str(value) or "none"
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, bool | np.bool_ | int | np.integer):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return _number_text(float(value))
+    if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiu":
+        value = zero_rounding_errors(value).tolist()
+    if isinstance(value, tuple | list) and len(value) <= MAX_SHOWN_NUMBERS:
+        texts = [_describe_simple(item) for item in value]
+        if not texts:
+            return "none"
+        return None if None in texts else f"({', '.join(map(str, texts))})"
+    return None
 
 
 def list_warnings(result: object) -> list[tuple[str, object]]:
@@ -122,8 +246,12 @@ def render_table(caption: str, rows: Iterable[TableRow]) -> str:
     )
 
 
-def format_value(value: object) -> str:
-    """Return the HTML of a value: floats with 4 significant digits, long containers summarised."""
+def format_value(value: object, unit: str | Mapping[str, str] = "") -> str:
+    """Return the HTML of a value: floats with 4 significant digits, long containers summarised.
+
+    ``unit`` is the unit of positions in the objects of a container; or {key: unit}, which is added
+    to the entries of a mapping.
+    """
     if isinstance(value, Diagnostic):
         return escape(str(value))
     if isinstance(value, Enum):
@@ -137,15 +265,25 @@ def format_value(value: object) -> str:
     if isinstance(value, np.ndarray):
         return _array_html(value)
     if isinstance(value, Mapping):
-        # Entries may have different units, so that each entry is its own reference.
-        lines = [
-            f"{escape(str(name))}: {format_value(*_zero_rounding_errors_of_items([item]))}"
-            for name, item in value.items()
-        ]
-        return _lines_html(lines)
+        return _lines_html([_format_entry(name, item, unit) for name, item in value.items()])
     if isinstance(value, Sequence):
-        return _sequence_html(value)
+        return _sequence_html(value, unit if isinstance(unit, str) else "")
+    if is_dataclass(value) and type(value).__str__ is object.__str__:
+        return escape(_summarise_dataclass(value, unit if isinstance(unit, str) else ""))
     return escape(_summarise(value))
+
+
+def _format_entry(name: object, item: object, unit: str | Mapping[str, str]) -> str:
+    """Return the HTML of an entry of a mapping, with the unit of this entry if there is one.
+
+    Entries may have different units, so that each entry is its own reference for rounding errors.
+    """
+    own = unit if isinstance(unit, str) else unit.get(str(name), "")
+    (kept,) = _zero_rounding_errors_of_items([item])
+    text = format_value(kept, own)
+    is_object = is_dataclass(item) and type(item).__str__ is object.__str__
+    shown = "" if isinstance(unit, str) or is_object or own in ("", "1") else f" {escape(own)}"
+    return f"{escape(str(name))}: {text}{shown}"
 
 
 def zero_rounding_errors(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -191,11 +329,14 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
         return escape(", ".join(_number_text(float(value)) for value in kept.ravel()))
     shape = " x ".join(map(str, values.shape))
     kept = zero_rounding_errors(values)
-    low, high = _number_text(float(kept.min())), _number_text(float(kept.max()))
-    return escape(f"array of {shape}, {low} to {high}")
+    missing = int(np.isnan(kept).sum())
+    if missing == kept.size:
+        return escape(f"array of {shape}, all nan")
+    low, high = _number_text(float(np.nanmin(kept))), _number_text(float(np.nanmax(kept)))
+    return escape(f"array of {shape}, {low} to {high}{f', {missing} nan' if missing else ''}")
 
 
-def _sequence_html(values: Sequence[object]) -> str:
+def _sequence_html(values: Sequence[object], unit: str = "") -> str:
     """Return the HTML of a sequence: a line per item; short simple sequences on a single line.
 
     At most `MAX_SHOWN_ROWS` lines with items are shown.
@@ -206,7 +347,7 @@ def _sequence_html(values: Sequence[object]) -> str:
     items = _zero_rounding_errors_of_items(values)
     if simple and len(values) <= MAX_SHOWN_NUMBERS:
         return ", ".join(format_value(value) for value in items)
-    return _lines_html([format_value(value) for value in items])
+    return _lines_html([format_value(value, unit) for value in items])
 
 
 def _lines_html(lines: Sequence[str]) -> str:

@@ -22,7 +22,12 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import FrozenDict, freeze
-from pupper_analysis.base.notebook import list_warnings, zero_rounding_errors
+from pupper_analysis.base.notebook import (
+    get_field_units,
+    list_warnings,
+    replace_joint_units,
+    zero_rounding_errors,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,9 +82,18 @@ def to_plain(value: Any) -> Any:
     raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 
-_MAX_REPR_LENGTH = 220
-"""Maximum number of characters of the fields in ``repr``; the rest is omitted. Chosen, not tuned:
-two or three lines of a terminal."""
+MAX_REPR_LENGTH = 200
+"""Maximum number of characters of ``repr``; further fields are omitted. Chosen, not tuned: two or
+three lines of a terminal."""
+
+_MAX_WARNING_LENGTH = 140
+"""Maximum number of characters of a warning in ``repr``. Chosen, not tuned: key fields follow."""
+
+_MAX_VALUE_LENGTH = 80
+"""Maximum number of characters of a field's value in ``repr``. Chosen, not tuned."""
+
+_MAX_NESTED_FIELDS = 2
+"""Maximum number of fields that ``repr`` shows of a result in a field. Chosen, not tuned."""
 
 _MAX_SHOWN_ITEMS = 3
 """Maximum number of items of a container that ``repr`` shows. Chosen, not tuned: a position (3,) is
@@ -93,11 +107,13 @@ class Result:
     Arrays in a tuple or list are writeable. ``repr`` is short: long arrays and lists are
     represented by their sizes. ``to_json`` returns all public fields, and the properties that the
     class lists in ``_reported``. Properties that the class lists in ``_warnings`` are the first
-    items of ``repr`` and of the table, if their values are not empty.
+    items of ``repr`` and of the table, if their values are not empty. Fields and properties that
+    the class lists in ``_key_fields`` precede the other fields in ``repr``.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ()
     _warnings: ClassVar[tuple[str, ...]] = ()
+    _key_fields: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         # The decorator of a dataclass writes a __repr__, unless the class itself has one.
@@ -114,15 +130,17 @@ class Result:
         Result.__post_init__(self)  # unpickled arrays are writeable
 
     def __repr__(self) -> str:
-        text = ", ".join(f"{name}={value}" for name, value in self._format_fields())
-        if len(text) > _MAX_REPR_LENGTH:
-            text = f"{text[:_MAX_REPR_LENGTH].rpartition(', ')[0]}, ..."
-        warnings = "".join(f"{name}={_join_texts(value)}, " for name, value in list_warnings(self))
-        return f"{type(self).__name__}({warnings}{text})"
+        name = type(self).__name__
+        items = [f"{field}={_join_texts(value)}" for field, value in list_warnings(self)]
+        items += [f"{field}={shorten(getattr(self, field))}" for field in list_repr_fields(self)]
+        return f"{name}({join_items(items, MAX_REPR_LENGTH - len(name) - 2)})"
 
-    def _format_fields(self) -> list[tuple[str, str]]:
-        """Return (name, short text) of each field, for ``repr``."""
-        return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
+    def _field_units(self) -> Mapping[str, str | Mapping[str, str]]:
+        """Return {field: unit} of fields whose unit depends on other fields.
+
+        The unit of a field with a mapping can be a mapping {key: unit}.
+        """
+        return {}
 
     def _repr_html_(self) -> str:
         """Return a table of fields, values and units, for notebooks."""
@@ -207,7 +225,12 @@ class Pictured:
 
 
 class Tabular(Result):
-    """Base class of results that are tables, for example with a row per joint or sample."""
+    """Base class of results that are tables, for example with a row per joint or sample.
+
+    ``_units_of_columns`` contains {column: unit} of the columns that are no fields.
+    """
+
+    _units_of_columns: ClassVar[Mapping[str, str]] = {}
 
     def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
         """Return {column: values} of this result as a table; all columns have equal length."""
@@ -216,6 +239,8 @@ class Tabular(Result):
     def to_dataframe(self) -> pd.DataFrame:
         """Return the table of this result as a pandas ``DataFrame``, in the units of the fields.
 
+        ``frame.attrs["units"]`` contains {column: unit}; ``1`` for ratios, nothing for texts.
+
         Raises:
             MissingPackageError: If pandas is not installed.
         """
@@ -223,7 +248,26 @@ class Tabular(Result):
             import pandas as pd
         except ImportError as error:
             raise MissingPackageError("pandas", "pandas") from error
-        return pd.DataFrame({name: list(values) for name, values in self._columns().items()})  # type: ignore[arg-type]
+        frame = pd.DataFrame({name: list(values) for name, values in self._columns().items()})  # type: ignore[arg-type]
+        frame.attrs["units"] = self._column_units(map(str, frame.columns))
+        return frame
+
+    def _column_units(self, columns: Iterable[str]) -> dict[str, str]:
+        """Return {column: unit} of the columns with a unit: of the field of this name, or listed.
+
+        A listed column ``q *`` is the unit of all columns that start with ``q ``.
+        """
+        names = list(columns)
+        # A column of units states the unit of each row.
+        units = {} if "unit" in names else get_field_units(self)
+        listed = replace_joint_units(self, self._units_of_columns)
+        found = {}
+        for column in names:
+            prefix = f"{column.split(' ')[0]} *"
+            unit = listed.get(column) or units.get(column) or listed.get(prefix)
+            if isinstance(unit, str) and unit:
+                found[column] = unit
+        return found
 
 
 def shorten(value: object, other: object = None) -> str:
@@ -242,6 +286,12 @@ def shorten(value: object, other: object = None) -> str:
         if value.ndim == 1 and value.size <= _MAX_SHOWN_ITEMS:
             return f"[{', '.join(_shorten_items(value, other))}]"
         return f"<array {' x '.join(map(str, value.shape))}>"
+    text = _shorten_container(value, other)
+    return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[: _MAX_VALUE_LENGTH - 4]} ..."
+
+
+def _shorten_container(value: object, other: object) -> str:
+    """Return a short text of a mapping, sequence, result or other object, for `shorten`."""
     if isinstance(value, Mapping):
         names = ", ".join(map(str, list(value)[:_MAX_SHOWN_ITEMS])) + (
             ", ..." if len(value) > _MAX_SHOWN_ITEMS else ""
@@ -252,16 +302,55 @@ def shorten(value: object, other: object = None) -> str:
             isinstance(item, str | float | int) for item in value
         ):
             return f"({', '.join(_shorten_items(value, other))})"
-        return f"<{len(value)} {type(value[0]).__name__}>"
-    if isinstance(value, Result):
-        return f"{type(value).__name__}(...)"
-    text = repr(value)
+        first = value[0]
+        if not getattr(first, "_key_fields", ()):
+            return f"<{len(value)} {type(first).__name__}>"
+        return f"<{len(value)}: {shorten(first)}{', ...' if len(value) > 1 else ''}>"
+    if isinstance(value, Diagnostic):
+        return repr(str(value))
+    text = repr(value) if not isinstance(value, Result) else ""
+    if is_dataclass(value) and not isinstance(value, type) and not 0 < len(text) <= 60:
+        return _shorten_dataclass(value)
+    if " at 0x" in text or "\n" in text:  # the default of objects, and tables
+        name = getattr(value, "__name__", type(value).__name__)
+        shape = getattr(value, "shape", ())
+        return f"<{' '.join([name, ' x '.join(map(str, shape))]).strip()}>"
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _shorten_dataclass(value: Any) -> str:
+    """Return a short text of a result in a field: its class, and at most two simple fields."""
+    simple = [
+        name
+        for name in list_repr_fields(value)
+        if isinstance(getattr(value, name), str | int | float | Enum)
+    ]
+    items = [f"{name}={shorten(getattr(value, name))}" for name in simple[:_MAX_NESTED_FIELDS]]
+    if len(items) < len(fields(value)):
+        items.append("...")
+    return f"{type(value).__name__}({', '.join(items)})"
+
+
+def list_repr_fields(value: Any) -> list[str]:
+    """Return the names of a result's fields for ``repr``: key fields, then other public fields."""
+    public = [field.name for field in fields(value) if field.name[0] != "_"]
+    return list(dict.fromkeys((*getattr(value, "_key_fields", ()), *public)))
+
+
+def join_items(items: Sequence[str], length: int) -> str:
+    """Join items by commas, as many as fit into ``length`` characters; dots replace the others."""
+    text = ", ".join(items)
+    num_kept = len(items)
+    while len(text) > length and num_kept:
+        num_kept -= 1
+        text = ", ".join((*items[:num_kept], "..."))
+    return text
 
 
 def _join_texts(value: object) -> str:
     """Return the text of a warning, or the texts of several, separated by semicolons, in quotes."""
-    return repr("; ".join(map(str, value)) if isinstance(value, tuple) else str(value))
+    text = "; ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return repr(text if len(text) <= _MAX_WARNING_LENGTH else f"{text[:_MAX_WARNING_LENGTH]}...")
 
 
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:

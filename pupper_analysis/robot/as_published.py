@@ -51,6 +51,10 @@ class ServosUsed:
     stiffness_unit: str = HINGE_UNITS.stiffness
     damping_unit: str = HINGE_UNITS.damping
 
+    def _field_units(self) -> dict[str, str]:
+        """Return the units of the gains."""
+        return {"kp": self.stiffness_unit, "kd": self.damping_unit}
+
     @property
     def replacement_servos(self) -> tuple[MadeServo, ...]:
         """Added servos that replace a servo of the MJCF with an invalid stiffness."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import ClassVar
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.results import Result
@@ -194,6 +195,8 @@ class Verdict(Result):
             engines read one file then; empty if each engine read its own file.
         remarks: Other assumptions, for example balls in place of soles, or limbs without feet.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "code")
 
     code: VerdictCode
     question: Question

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -221,6 +221,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         motion_time: (m,) times of the configurations (s).
         motion: (m, nq) configurations at these times, rounded to six decimals, for animations.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "failures")
 
     stays: bool
     base_height: float = field(metadata={"unit": "m"})

@@ -94,6 +94,14 @@ class Stand(Pictured, Tabular):
         robot: ``fingerprint`` of the robot.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = (
+        "solved",
+        "foot_error",
+        "height_error",
+        "com_error",
+        "com_margin",
+    )
+    _units_of_columns: ClassVar[dict[str, str]] = {"x": "m", "y": "m", "z": "m", "depth": "m"}
     _warnings: ClassVar[tuple[str, ...]] = ("blocked",)
 
     task: StandTask

@@ -18,7 +18,8 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import HINGE_UNITS, POSITION_UNIT, SLIDE_UNITS
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.stance.problem import can_move_com, compute_targets
@@ -67,12 +68,18 @@ class Interval(Result):
         high: Upper end (m, or rad).
     """
 
-    low: float = field(metadata={"unit": "m"})
-    high: float = field(metadata={"unit": "m"})
+    low: float = field(metadata={"unit": POSITION_UNIT})
+    high: float = field(metadata={"unit": POSITION_UNIT})
+
+
+def get_coordinate_unit(coordinate: str) -> str:
+    """Return the unit of a coordinate of base or feet: rad for roll, pitch and yaw, otherwise m."""
+    is_angle = coordinate in ("roll", "pitch", "yaw")
+    return (HINGE_UNITS if is_angle else SLIDE_UNITS).position
 
 
 @dataclass(frozen=True, eq=False)
-class BaseWorkspace(Result):
+class BaseWorkspace(Tabular):
     """Reachable intervals of the base with planted feet, for each direction separately.
 
     Attributes:
@@ -88,6 +95,21 @@ class BaseWorkspace(Result):
     start: Stand
     intervals: dict[str, Interval] = field(metadata={"unit": "m or rad"})
     limits: dict[str, tuple[Diagnostic, Diagnostic]]
+
+    def _field_units(self) -> dict[str, dict[str, str]]:
+        """Return the unit of each direction in ``intervals``."""
+        return {"intervals": {name: get_coordinate_unit(name) for name in self.intervals}}
+
+    def _columns(self) -> dict[str, list[object]]:
+        """Return {column: values} of a table with a row per direction, and the unit of the row."""
+        return {
+            "direction": [*self.intervals],
+            "low": [interval.low for interval in self.intervals.values()],
+            "high": [interval.high for interval in self.intervals.values()],
+            "unit": [get_coordinate_unit(name) for name in self.intervals],
+            "lower_limit": [str(self.limits[name][0]) for name in self.intervals],
+            "upper_limit": [str(self.limits[name][1]) for name in self.intervals],
+        }
 
 
 @check_arguments

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -183,6 +184,8 @@ class Equilibrium(Tabular):
         residual_force: Norm of the residual of the force balance of the base (N).
         residual_torque: Norm of the residual of the moment balance of the base (N m).
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"torque": EFFORT_UNIT, "utilisation": "1"}
 
     joint_names: tuple[str, ...]
     joint_torques: Array = field(metadata={"unit": EFFORT_UNIT})

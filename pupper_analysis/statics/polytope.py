@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +56,8 @@ class ForcePolytope(Tabular):
             keeps all motors within their limits. A motor that bears no force, with a static load
             beyond its limit, also gives k = 0.
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"x": "N", "y": "N", "z": "N"}
 
     point: Array = field(metadata={"unit": "m"})
     joints: tuple[str, ...]

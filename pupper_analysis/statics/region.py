@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +52,9 @@ class SupportRegion(Tabular):
             outside, minus infinity for a region without corners.
         torque_limits: Whether the motors also keep within their effort limits.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("area", "com_margin")
+    _units_of_columns: ClassVar[dict[str, str]] = {"x": "m", "y": "m"}
 
     corners: Array = field(metadata={"unit": "m"})
     area: float = field(metadata={"unit": "m^2"})

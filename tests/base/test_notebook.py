@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -39,7 +40,7 @@ def test_a_table_states_each_field_with_its_unit() -> None:
     sample = Sample(0.123456, np.array([0.5, 1.0]), {"FL": np.array([0.0, 0.0, 8.0])}, "<b>", None)
     assert rows_of(sample) == {
         "torque": ("0.1235", "N m"),
-        "shares": ("0.5, 1", ""),
+        "shares": ("0.5, 1", "1"),
         "forces": ("FL: 0, 0, 8", "N"),
         "name": ("<b>", ""),
         "hidden": ("none", ""),
@@ -70,6 +71,50 @@ def test_missing_numbers_of_an_array_are_not_shown_as_zero() -> None:
     assert format_value(np.array([1.0, np.nan, np.inf])) == "1, nan, inf"
 
 
+def test_the_range_of_an_array_ignores_missing_numbers_and_counts_them() -> None:
+    values = np.append(np.full(3, np.nan), np.arange(10.0))
+    assert format_value(values) == "array of 13, 0 to 9, 3 nan"
+    assert format_value(np.full(13, np.nan)) == "array of 13, all nan"
+
+
+@dataclass(frozen=True, eq=False)
+class Nested(Result):
+    sample: Sample
+    interval: pa.stance.Interval
+    intervals: dict[str, pa.stance.Interval]
+    unit: str = "kg"
+    limit: float = field(default=1.5, metadata={"unit": "varies"})
+
+    def _field_units(self) -> dict[str, dict[str, str]]:
+        return {"intervals": {"x": "m", "yaw": "rad"}}
+
+
+def test_nested_results_are_short_texts_with_units() -> None:
+    """Reference: the values of the nested fields. A dictionary in a field needs a table."""
+    interval = pa.stance.Interval(-0.1, 0.25)
+    sample = Sample(1.5, np.ones(2), {}, "<b>")
+    rows = rows_of(Nested(sample, interval, {"x": interval, "yaw": interval}))
+    assert rows["sample"][0].startswith("Sample")
+    assert "1.5N m" in rows["sample"][0]
+    assert rows["interval"][0] == "low -0.1 rad or m, high 0.25 rad or m"
+    assert rows["intervals"][0] == ("x: low -0.1 m, high 0.25 myaw: low -0.1 rad, high 0.25 rad")
+    assert rows["limit"] == ("1.5", "kg")
+
+
+@pytest.mark.slow
+def test_the_table_of_the_best_stance_labels_angles_lengths_and_the_objective() -> None:
+    best = pa.best_stance(load("v3"))
+    rows = rows_of(best)
+    assert rows["value"] == (f"{best.value:.4g}", "1")
+    assert re.search(r"height: 0\.\d+ m", rows["coordinates"][0])
+    assert re.search(r"pitch: -?[\d.]+ rad", rows["coordinates"][0])
+    assert re.search(r"x: low -?[\d.]+ m, high [\d.]+ m", rows["bounds"][0])
+    assert re.search(r"yaw: low -0.3 rad, high 0.3 rad", rows["bounds"][0])
+    frame = best.to_dataframe()
+    assert dict(zip(frame.coordinate, frame.unit, strict=True))["yaw"] == "rad"
+    np.testing.assert_array_equal(frame.value, [*best.coordinates.values()])
+
+
 def test_long_arrays_and_mappings_are_summarised() -> None:
     assert format_value(np.arange(24.0).reshape(8, 3)) == "array of 8 x 3, 0 to 23"
     entries = format_value({f"joint{index}": float(index) for index in range(15)})
@@ -93,7 +138,10 @@ def test_robot_configuration_stand_and_statics_have_tables() -> None:
     assert rows_of(stand)["foot_error"][1] == "m or rad"
     statics = rows_of(pa.gravity_compensation(config))
     torques, unit = statics["joint_torques"]
-    assert (len(torques.split(", ")), unit) == (robot.nu, "N m or N")
+    named = re.findall(r"(leg_\w+?_\d): (-?[\d.]+)", torques)
+    assert ([joint for joint, _ in named], unit) == ([*robot.joint_names], "N m")
+    computed = pa.gravity_compensation(config).joint_torques
+    np.testing.assert_allclose([float(text) for _, text in named], computed, rtol=1e-3, atol=1e-9)
     # The stand is symmetric: joint positions and tangential forces are zero up to rounding.
     assert "e-" not in rows_of(config)["joint positions"][0] + statics["foot_loads"][0]
 

@@ -3,16 +3,20 @@ finite.
 """
 
 import copy
+import importlib
 import json
 import math
 import pickle
+import pkgutil
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -20,6 +24,9 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, diagnose
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result, shorten_paths
+from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.tools.gains.gains import study_gains
+from pupper_analysis.tools.heat.heat import study_heat
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
@@ -186,6 +193,110 @@ def test_repr_is_short_and_contains_the_key_values() -> None:
             assert "\n" not in text
     small = Sample(np.array([1.5, -2.0]), 3.25, {"FR": np.eye(2)})
     assert repr(small) == "Sample(vector=[1.5, -2], number=3.25, feet=<1: FR>)"
+
+
+def list_result_types(base: type = Result) -> set[type]:
+    """Return all dataclasses of the package that derive from ``Result``."""
+    for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    found, rest = set[type](), [base]
+    while rest:
+        rest += (kind := rest.pop()).__subclasses__()
+        if is_dataclass(kind) and kind.__module__.startswith("pupper_analysis."):
+            found.add(kind)
+    return found
+
+
+def test_each_key_field_exists() -> None:
+    kinds = list_result_types()
+    assert len(kinds) > 90
+    for kind in kinds:
+        public = {item.name for item in fields(kind)}  # type: ignore[arg-type]
+        for name in kind._key_fields:  # type: ignore[attr-defined]
+            assert name in public or isinstance(getattr(kind, name), property), (kind, name)
+
+
+class Opaque:
+    pass
+
+
+@pytest.mark.parametrize(
+    "value",
+    [Opaque(), len, Opaque, "x" * 500, {f"key {n}" * 20: n for n in range(9)}, [Opaque()] * 9],
+)
+def test_repr_of_each_result_type_is_short_and_shows_no_address(value: object) -> None:
+    """Each field of each public result contains the same value, as far as its class permits."""
+    for kind in list_result_types():
+        if kind._warnings:  # type: ignore[attr-defined]  # computed from the fields
+            continue
+        result = object.__new__(kind)
+        for item in fields(kind):  # type: ignore[arg-type]
+            object.__setattr__(result, item.name, value)
+        stubs = {name: value for name in kind._key_fields if name not in vars(result)}  # type: ignore[attr-defined]
+        shown = type(kind.__name__, (kind,), stubs)
+        object.__setattr__(result, "__class__", shown)
+        text = repr(result)
+        assert len(text) <= 200
+        assert " at 0x" not in text
+        assert "\n" not in text
+        assert text.startswith(f"{kind.__name__}(")
+
+
+def test_repr_starts_with_the_key_fields() -> None:
+    """Reference: the values of the results."""
+    stand = stand_of("v3")
+    assert repr(stand).startswith(f"Stand(solved=True, foot_error={stand.foot_error:.6g}, height_")
+    changed = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / "pupper_v3.xml"))
+    changed.body("base_link").mass = 2.0
+    diff = pa.diff_models(ROOT / "mjcf" / "pupper_v3.xml", changed)
+    assert repr(diff).startswith(
+        "ModelDiff(same=False, changes=<1: ModelChange(kind='mass', element='base_link', ...)>"
+    )
+    frame = diff.to_dataframe()
+    assert (frame["old"][0], frame["new"][0], frame["unit"][0]) == (
+        pytest.approx(load("v3").mj_model.body("base_link").mass[0]),
+        2.0,
+        "kg",
+    )
+
+
+def assert_numbers_have_units(result: Any) -> None:
+    frame = result.to_dataframe()
+    numbers = {str(name) for name in frame.columns if frame[name].dtype.kind == "f"}
+    assert numbers
+    assert "unit" in frame or numbers <= set(frame.attrs["units"]), type(result)
+
+
+def test_each_number_in_a_dataframe_of_a_stand_has_a_unit() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    held = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
+    assert held.to_dataframe().attrs["units"] == {"torque": "N m", "utilisation": "1"}
+    verified = pa.verify_stand(robot, stand, duration=2.0)
+    assert verified.to_dataframe().attrs["units"] == {"time": "s", "height": "m"}
+    assert_numbers_have_units(stand)
+
+
+@pytest.mark.slow
+def test_dataframes_of_studies_equal_the_arrays_and_have_units() -> None:
+    """References: the temperatures [degC], factors, masses [kg] and intervals of the results."""
+    robot, stand = load("v3"), stand_of("v3")
+    heat = study_heat(robot, stand, dict.fromkeys(robot.joint_names, find_motor("dephy-actpack")))
+    workspace, gains = pa.stance.base_workspace(robot), study_gains(robot, stand)
+    payload = pa.payload_limit(robot)
+    for result in (heat, gains, payload, workspace):
+        assert_numbers_have_units(result)
+    knee = robot.joint_names[2]
+    frame = heat.to_dataframe()
+    np.testing.assert_array_equal(frame[f"temperature {knee}"], heat.temperatures[:, 2])
+    assert frame.attrs["units"][f"temperature {knee}"] == "degC"
+    np.testing.assert_array_equal(gains.to_dataframe()["largest_kd_factor"], gains.curve_dampings)
+    assert payload.to_dataframe()["mass"][0] == payload.upper_bound
+    row = workspace.to_dataframe().set_index("direction").loc["pitch"]
+    assert (row.low, row.unit) == (workspace.intervals["pitch"].low, "rad")
+    shown = gains._repr_html_()
+    missing = int(np.isnan(gains.curve_dampings).sum())
+    assert f"{missing} nan" in shown or not missing
 
 
 @pytest.mark.slow

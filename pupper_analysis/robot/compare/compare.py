@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -399,6 +400,8 @@ class FilesCompared(Tabular):
         refusal: Reason why MuJoCo does not load the unmodified MJCF, such as missing mesh files;
             None if MuJoCo loads the MJCF.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("agree", "same_robot", "differences")
 
     urdf: str
     mjcf: str

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -191,6 +191,8 @@ class Difference(Stated, Result):
         made_of: Diagnostics of the links or bodies that form the compared body, if there are
             several.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("kind", "element")
 
     effects: dict[str, Effect]
     urdf_place: str | None = None

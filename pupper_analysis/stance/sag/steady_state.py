@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -467,6 +468,8 @@ class SteadyState(Result):
         failures: Reasons why the robot does not stay in this equilibrium; empty if no reason was
             found.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("lasts", "stable", "failures")
 
     feet: SlipLaw
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -179,6 +180,8 @@ class Analysis(Result):
             agree.
         failures: Failures of the simulation with feed-forward and of the cross-check.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("verified", "failures")
 
     name: str
     nq: int

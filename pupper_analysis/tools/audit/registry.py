@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -160,6 +161,8 @@ class Finding(Result):
         diagnostic: Message as code and values with units. A rule may use several codes.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("rule", "severity")
+
     rule: str
     severity: Severity
     file: str
@@ -204,6 +207,8 @@ class Audit(Tabular):
         floating: True if the base counts as free, for example if a URDF or MJCF contains a free
             joint, or if two or more limbs are attached to the base.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "counts", "findings")
 
     file: str
     format: str

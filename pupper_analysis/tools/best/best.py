@@ -7,27 +7,28 @@ as ``stand`` does, and, unless a payload is sought, tries worse stances if the b
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import FramePoint
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.workspace import Interval
+from pupper_analysis.stance.workspace import Interval, get_coordinate_unit
 from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.tools.stand.stance import Stance, simulate_stance, study_stance
 
 
 @dataclass(frozen=True, eq=False)
-class BestStance(Result):
+class BestStance(Tabular):
     """Best stance of a search.
 
     Attributes:
@@ -45,15 +46,41 @@ class BestStance(Result):
         evaluations: Number of stances that the search tried.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("objective", "value", "nominal_value")
+
     objective: Objective
     stand: Stand
-    value: float = field(metadata={"unit": "m or kg"})
-    nominal_value: float = field(metadata={"unit": "m or kg"})
+    value: float = field(metadata={"unit": "varies"})
+    nominal_value: float = field(metadata={"unit": "varies"})
     nominal: Stand
     payload: PayloadLimit | None
     coordinates: dict[str, float] = field(metadata={"unit": "m or rad"})
     bounds: dict[str, Interval]
     evaluations: int
+
+    @property
+    def unit(self) -> str:
+        """Unit of ``value`` and ``nominal_value``: 1 for the utilisation."""
+        return _OBJECTIVE_UNITS[self.objective]
+
+    def _field_units(self) -> dict[str, dict[str, str]]:
+        """Return the unit of each coordinate."""
+        units = {name: get_coordinate_unit(name) for name in self.coordinates}
+        return {"coordinates": units, "bounds": units}
+
+    def _columns(self) -> dict[str, list[object]]:
+        """Return {column: values} of a table with a row per coordinate, and the unit of the row."""
+        return {
+            "coordinate": [*self.coordinates],
+            "value": [*self.coordinates.values()],
+            "low": [self.bounds[name].low for name in self.coordinates],
+            "high": [self.bounds[name].high for name in self.coordinates],
+            "unit": [get_coordinate_unit(name) for name in self.coordinates],
+        }
+
+
+_OBJECTIVE_UNITS = {Objective.UTILISATION: "1", Objective.MARGIN: "m", Objective.PAYLOAD: "kg"}
+"""{objective: unit of the value}."""
 
 
 @check_arguments

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import ClassVar
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
@@ -130,6 +131,8 @@ class PairCheck(Result):
             limbs; None if the file cannot be read.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("agree", "name")
+
     name: str
     files: tuple[str, ...]
     agree: bool | None
@@ -155,6 +158,8 @@ class RepositoryCheck(Result):
         updated: Whether the baseline was rewritten.
         passed: Whether there are no failures.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "failures")
 
     config: str
     baseline: str | None

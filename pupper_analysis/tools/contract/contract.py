@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import cast
+from typing import ClassVar, cast
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
@@ -97,6 +97,8 @@ class Contract(Result):
         floating: True if the base counts as free, for example if a URDF or MJCF contains a free
             joint, or if two or more limbs are attached to the base.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "findings")
 
     model: str
     joints: tuple[str, ...]

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import mujoco
 import pinocchio as pin
@@ -358,6 +358,8 @@ class Conversion(Result):
         agree: True if both files agree, except for repaired inertials and replaced feet.
         passed: True if there are no failures.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "agree", "failures")
 
     source: str
     output: str

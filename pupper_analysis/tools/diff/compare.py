@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.loading import read_model
@@ -86,6 +86,8 @@ class ModelChange(Result):
         new_place: File and line in the new version; empty if unknown or absent.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("kind", "element")
+
     kind: str
     element: str
     old: Any
@@ -104,7 +106,7 @@ class ModelChange(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class ModelDiff(Result):
+class ModelDiff(Tabular):
     """Changes between two versions of a model, with the effects on mass, torques and dynamics.
 
     Attributes:
@@ -131,6 +133,8 @@ class ModelDiff(Result):
             with the links fixed to these.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("same", "changes")
+
     old: str
     new: str
     same: bool
@@ -145,6 +149,11 @@ class ModelDiff(Result):
     combined: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
     edited_masses: dict[str, tuple[float, float]] = field(metadata={"unit": "kg"})
+
+    def _columns(self) -> dict[str, list[object]]:
+        """Return {column: values} of a table with a row per change, and the unit of the row."""
+        names = ("kind", "element", "old", "new", "unit", "message", "old_place", "new_place")
+        return {name: [getattr(change, name) for change in self.changes] for name in names}
 
 
 @check_arguments

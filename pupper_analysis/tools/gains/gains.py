@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +24,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import (
     DAMPING_UNIT,
     STIFFNESS_UNIT,
@@ -195,7 +196,7 @@ class JointClass(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class GainStudy(Result):
+class GainStudy(Tabular):
     """Stable gains of a standing robot under a sampled PD controller.
 
     Attributes:
@@ -234,6 +235,13 @@ class GainStudy(Result):
         missing_masses: Message about links with assumed masses; None if the files state all.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "least_kp", "largest_kp", "largest_kd")
+    _units_of_columns: ClassVar[dict[str, str]] = {
+        "kp_factor": "1",
+        "least_kd_factor": "1",
+        "largest_kd_factor": "1",
+    }
+
     name: str
     stand: Stand
     servos: ServosUsed
@@ -258,6 +266,14 @@ class GainStudy(Result):
     recommended_kp_factor: float | None = field(metadata={"unit": "1"})
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
     missing_masses: Diagnostic | None = None
+
+    def _columns(self) -> dict[str, Array]:
+        """Return {column: values, shape (n,)} of the curve: factors on stiffness and damping."""
+        return {
+            "kp_factor": self.curve_factors,
+            "least_kd_factor": self.curve_least_dampings,
+            "largest_kd_factor": self.curve_dampings,
+        }
 
     @property
     def passed(self) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import (
@@ -92,6 +93,8 @@ class MotorHeat(Result):
             is too weak.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("joint", "steady_temperature")
+
     joint: str
     motor: str
     torque: float = field(metadata={"unit": "N m"})
@@ -140,7 +143,7 @@ class MotorHeat(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class HeatStudy(Result):
+class HeatStudy(Tabular):
     """Heat of the motors that hold a stance at rest, and consumption of the battery.
 
     Attributes:
@@ -160,6 +163,9 @@ class HeatStudy(Result):
         missing_masses: Message about links with assumed masses; None if the files state all.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "overheats", "known", "first")
+    _units_of_columns: ClassVar[dict[str, str]] = {"time": "s", "temperature *": "degC"}
+
     name: str
     stand: Stand
     motors: tuple[MotorHeat, ...]
@@ -172,6 +178,15 @@ class HeatStudy(Result):
     times: Array = field(metadata={"unit": "s"})
     temperatures: Array = field(metadata={"unit": "degC"})
     missing_masses: Diagnostic | None = None
+
+    def _columns(self) -> dict[str, Array]:
+        """Return {column: values, shape (n,)}: time, and the temperature of each motor."""
+        joints = [motor.joint for motor in self.motors]
+        temperatures = dict(zip(joints, self.temperatures.T, strict=True))
+        return {
+            "time": self.times,
+            **{f"temperature {joint}": values for joint, values in temperatures.items()},
+        }
 
     @property
     def first(self) -> MotorHeat:

@@ -10,6 +10,7 @@ along the world axes, in three plane sections, and in the weakest direction.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class ToolForce(Tabular):
         sagittal: (n,) largest forces in the x-z section (N).
         frontal: (n,) largest forces in the y-z section (N).
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"direction": "1", "force": "N"}
 
     directions: Array = field(metadata={"unit": "1"})
     forces: Array = field(metadata={"unit": "N"})

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
-from pupper_analysis.base.units import EFFORT_UNIT
+from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
 from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge_simulation
@@ -72,6 +72,8 @@ class ReachLoad(Tabular):
         utilisation: (n,) largest motor utilisation; infinite if a motor with a limit of zero must
             exert a torque, NaN if no motor has a stated limit.
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"distance": "m", "height": "m"}
 
     distances: Array = field(metadata={"unit": "m"})
     heights: Array = field(metadata={"unit": "m"})
@@ -418,6 +420,13 @@ class Hold(Tabular):
             [kg]. Not a number if not computed, or if the posture holds with
             ``payload.worst_posture_mass``.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "weak_motors")
+    _units_of_columns: ClassVar[dict[str, str]] = {
+        "position": POSITION_UNIT,
+        "torque": EFFORT_UNIT,
+        "utilisation": "1",
+    }
 
     name: str
     hangs: bool

@@ -14,6 +14,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +25,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, acts_at_rest
@@ -306,6 +308,8 @@ class WorstPostures(Tabular):
             unknown limit; infinite for a limit of zero if the torque is above rounding.
         endless: Reason why torques may be unbounded; None without such a reason.
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"torque": EFFORT_UNIT}
 
     joint_names: tuple[str, ...]
     joint_torques: Array = field(metadata={"unit": "N m or N"})

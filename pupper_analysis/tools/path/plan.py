@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.units import (
     EFFORT_UNIT,
+    POSITION_UNIT,
     find_joint_units,
 )
 from pupper_analysis.models.motors.motor import Motor
@@ -213,6 +215,8 @@ class StancePath(Tabular):
             known.
         motors: {joint: name of the motor whose torque-speed region is used}.
     """
+
+    _units_of_columns: ClassVar[dict[str, str]] = {"q *": POSITION_UNIT, "tau *": EFFORT_UNIT}
 
     stances: tuple[Stand, ...]
     joint_names: tuple[str, ...]

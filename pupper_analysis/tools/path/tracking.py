@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -262,6 +263,8 @@ class PathThere(Result):
         tracking: Result of the simulation.
         verdict: Verdict on tracking, and the conditions.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "name")
 
     name: str
     stand: Stand

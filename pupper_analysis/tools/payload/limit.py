@@ -26,7 +26,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.base.progress import report_progress
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
@@ -185,7 +185,7 @@ class Bound(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class PayloadLimit(Result):
+class PayloadLimit(Tabular):
     """Largest payload of a stance, with bounds and assumptions.
 
     The values belong to the loaded stand (``solve_loaded_stand``): the mass is welded to the robot,
@@ -234,6 +234,7 @@ class PayloadLimit(Result):
             commands alone, without feed-forward torques [kg]; not a number if not computed.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("mass", "binding", "code")
     _warnings: ClassVar[tuple[str, ...]] = ("unknown_reasons",)
 
     name: str
@@ -265,6 +266,16 @@ class PayloadLimit(Result):
     def torque_by_joint(self) -> dict[str, float]:
         """{joint: static motor torque [N m or N] in ``stand``}."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
+
+    def _columns(self) -> dict[str, list[object]]:
+        """Return {column: values} of a table with a row per bound, the smallest mass first."""
+        bounds = self.bounds
+        return {
+            "bound": [*bounds],
+            "mass": [bound.mass for bound in bounds.values()],
+            "failure": [str(bound.failure) for bound in bounds.values()],
+            "failing_parts": [bound.failing_parts for bound in bounds.values()],
+        }
 
     def get_torque_unit(self, joint: str) -> str:
         """Return the unit of the motor torque of a joint: N m for a hinge, N for a slide."""

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -565,6 +565,8 @@ class PushTrial(PushSettings):
         motion_time: (m,) times of the configurations from the start of the push [s].
         motion: (m, nq) configurations at ``motion_time``, rounded to six decimals.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("recovered", "failure")
 
     recovered: bool
     failure: Diagnostic | None

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -83,6 +84,8 @@ class PushedStance(Result):
         energy: Electrical energy of the motors during the weakest push of ``recovery``. None
             without motors, or if the robot does not stand without a push.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "recovery")
 
     name: str
     joint_names: tuple[str, ...]
@@ -309,6 +312,17 @@ class PushRecovery(PushSettings, Tabular):
         failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
             stays on the feet, even in another pose than predicted.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = (
+        "weakest_impulse",
+        "weakest_direction",
+        "weakest_failure",
+    )
+    _units_of_columns: ClassVar[dict[str, str]] = {
+        "direction": "rad",
+        "impulse": "N s",
+        "velocity_step": "m/s",
+    }
 
     directions: Array = field(metadata={"unit": "rad"})
     impulses: Array = field(metadata={"unit": "N s"})

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,6 +87,15 @@ class Stance(Tabular):
         soft_servos: Servos whose low stiffness alone makes the stand with feed-forward fail. None
             without such servos, or if the stand has no linear model.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "name")
+    _units_of_columns: ClassVar[dict[str, str]] = {
+        "position": POSITION_UNIT,
+        "torque": EFFORT_UNIT,
+        "limit": EFFORT_UNIT,
+        "utilisation": "1",
+        "simulated_torque": EFFORT_UNIT,
+    }
 
     name: str
     joint_positions: Array = field(metadata={"unit": POSITION_UNIT})

@@ -12,7 +12,7 @@ import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import orjson
@@ -61,6 +61,8 @@ class Failures(Result):
             of an older version.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("kind", "designs")
+
     kind: str
     metric: str | None
     designs: int
@@ -86,6 +88,8 @@ class MetricSummary(Result):
             these cases: samples, a column ``NAME.KEY``, fewer than two variables with several
             values, all main effects 0, or a design without a finite value.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("metric", "median")
 
     metric: str
     unit: str
@@ -119,6 +123,8 @@ class StudyOutcome(Result):
         requirements: {requirement as text: number of designs that meet this requirement}.
         feasible: Number of designs that meet all requirements.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("designs", "feasible", "measured", "failures")
 
     robot: str
     converted: str

@@ -11,6 +11,7 @@ import hashlib
 import os
 import pickle
 import platform
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import fields
@@ -33,7 +34,9 @@ from pupper_analysis.base.errors import (
     VariantError,
 )
 from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.base.notebook import format_value, render_table
 from pupper_analysis.base.provenance import list_versions
+from pupper_analysis.base.results import MAX_REPR_LENGTH
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.prepare.convert.files import FileSource
@@ -308,6 +311,38 @@ class Study:
 
     def __len__(self) -> int:
         return len(self.sampling)
+
+    def __repr__(self) -> str:
+        metrics = ", ".join(metric.name for metric in self.metrics)
+        text = (
+            f"Study of {self._robot_name!r}: {len(self)} designs, "
+            f"vary {', '.join(self.variables)}, measure {metrics}"
+        )
+        return f"<{textwrap.shorten(text, MAX_REPR_LENGTH - 2, placeholder=' ...')}>"
+
+    @property
+    def _robot_name(self) -> str:
+        """Name of the varied variant, or of the robot in the files."""
+        return str(self.source.to_dict().get("base", self.base.name))
+
+    def _repr_html_(self) -> str:
+        """Return a table of the definition of the study, for notebooks."""
+        variables = {
+            name: " ".join(f"{kind} {values}" for kind, values in variable.to_dict().items())
+            for name, variable in self.variables.items()
+        }
+        rows = [
+            ("robot", format_value(self._robot_name), ""),
+            ("designs", format_value(len(self)), ""),
+            ("variables", format_value(variables), ""),
+            ("metrics", format_value([metric.name for metric in self.metrics]), ""),
+            ("task", format_value(self.task), ""),
+            ("requirements", format_value([item.text for item in self.requirements]), ""),
+            ("minimise", format_value(self.minimise), ""),
+            ("maximise", format_value(self.maximise), ""),
+            ("time_limit", format_value(self.time_limit), "s"),
+        ]
+        return render_table("Study", rows)
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
         """Yield the designs of this study in blocks of n designs.

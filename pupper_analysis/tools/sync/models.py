@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import ClassVar, Final
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
@@ -79,6 +79,8 @@ class Sync(Result):
         left_by_side: {``"urdf"`` or ``"mjcf"``: number of differences that remain if all values are
             taken from this file}; empty if values were chosen, or without differences.
     """
+
+    _key_fields: ClassVar[tuple[str, ...]] = ("agree", "written")
 
     differences: tuple[Difference, ...]
     taken: dict[str, str]

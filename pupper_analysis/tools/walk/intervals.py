@@ -248,6 +248,8 @@ class TrackedIntervals(Result):
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "narrow")
+
     name: str
     mass: float = field(metadata={"unit": "kg"})
     policy: str

@@ -106,6 +106,8 @@ class Orders(Result):
         remarks: Errors and assumptions of the robot's files behind the result.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "determined")
+
     name: str
     policy: str
     commands: Array = field(metadata={"unit": "m/s or rad/s"})

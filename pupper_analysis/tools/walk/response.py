@@ -99,6 +99,8 @@ class ResponseMap(Result):
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "name")
+
     name: str
     policy: str
     axes: tuple[ResponseAxis, ...]

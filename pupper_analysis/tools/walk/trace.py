@@ -317,6 +317,8 @@ class TraceCheck(Result):
         checks: Network, rate, terms of the observation, and targets.
     """
 
+    _key_fields: ClassVar[tuple[str, ...]] = ("passed", "name")
+
     name: str
     policy: str
     trace: str

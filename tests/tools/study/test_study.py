@@ -623,3 +623,15 @@ def test_study_of_a_urdf_with_a_mesh_is_the_same_in_another_folder(tmp_path: Pat
         assert str(folder) in to_xml(study.base.description.mjcf)
         digests.append(study.digest)
     assert digests[0] == digests[1] != digests[2]
+
+
+def test_repr_and_table_of_a_study_state_robot_designs_variables_and_metrics() -> None:
+    made = pa.Study("v3", {"leg_scale": [1.0, 1.1]}, ["stands", "com_margin"])
+    assert repr(made) == ("<Study of 'v3': 2 designs, vary leg_scale, measure stands, com_margin>")
+    shown = made._repr_html_()
+    assert "leg_scale: values [1.0, 1.1]" in shown
+    assert "com_margin" in shown
+    many = pa.Study(
+        "v3", {"slope": [0.0]}, [name for name in pa.study.METRICS if ":" not in name][:20]
+    )
+    assert len(repr(many)) <= 200
