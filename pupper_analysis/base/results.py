@@ -142,6 +142,12 @@ class Result:
         """
         return {}
 
+    def __dir__(self) -> list[str]:
+        """Return the names for ``dir`` and completion, without ``plot`` if there is no plot."""
+        names = sorted(super().__dir__())
+        plots = import_module("pupper_analysis.present.plots")
+        return names if plots.has_plot(self) else [name for name in names if name != "plot"]
+
     def _repr_html_(self) -> str:
         """Return a table of fields, values and units, for notebooks."""
         from pupper_analysis.base.notebook import render_result

@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.present.document import Document, Name, Plot, get_english
 from pupper_analysis.present.documents.registry import load_builder, make_document
 from pupper_analysis.robot.robot import Robot
@@ -60,16 +60,34 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
         ConfigurationError: If the document has no plots.
         TypeError: If ``result`` is no result.
     """
-    from pupper_analysis.present.figures.drawing import make_plots_figure
-
     document = make_document(result, robot)
     plots = [block for block in document.blocks if isinstance(block, Plot)]
     if not plots:
         kind = type(result).__name__
         raise ConfigurationError("plot", diagnose("result-without-plot", kind=kind))
+    return draw_plots(plots, make_figure_title(document))
+
+
+def has_plot(result: Any) -> bool:
+    """Return whether `plot_result` draws a result, without drawing."""
+    import_module("pupper_analysis.present.stand_plots")  # registers its plots
+    load_builder(type(result))
+    if draw_result.dispatch(type(result)) is not draw_result.dispatch(object):
+        return True
+    try:
+        document = make_document(result)
+    except PupperAnalysisError:  # for example because the document needs the robot
+        return True
+    return any(isinstance(block, Plot) for block in document.blocks)
+
+
+def draw_plots(plots: Sequence[Plot], title: Name) -> tuple[Axes, ...]:
+    """Draw plots below each other in a new figure of ``pyplot``; return the axes of the panels."""
+    from pupper_analysis.present.figures.drawing import make_plots_figure
+
     figure = make_plots_figure(
         plots,
-        title=make_figure_title(document),
+        title=title,
         names=[get_english(plot.title) for plot in plots],
         max_columns=1,  # half as wide, the words are illegible on a screen
         create=create_figure,

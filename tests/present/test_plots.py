@@ -166,6 +166,35 @@ def test_plot_of_statics_states_whether_torque_limits_are_known(known: int, labe
     assert sum(bool(text.get_text()) for text in axes.texts) == known
 
 
+def test_completion_offers_plot_only_for_results_with_a_plot() -> None:
+    """Reference: `plot` itself."""
+    stand = stand_of("v3")
+    statics = pa.gravity_compensation(pa.Configuration(load("v3"), stand.qpos))
+    for shown in (stand, statics):
+        assert "plot" in dir(shown)
+    for plotless in (
+        pa.stance.Interval(0.1, 0.2),
+        Fixed(1.0),
+        pa.audit_model(ROOT / "urdf" / "pupper_v3.urdf"),
+    ):
+        assert "plot" not in dir(plotless)
+        assert {"to_dict", "to_json"} <= set(dir(plotless))
+        with pytest.raises(pa.ConfigurationError, match=f"this {type(plotless).__name__} has no"):
+            plotless.plot()
+
+
+def test_plot_of_pushes_contains_the_impulse_in_each_direction() -> None:
+    """Reference: ratios of the impulses [N s] of the result."""
+    options = {"directions": 4, "resolution": 1.0, "duration": 2.0}
+    pushed = pa.push_recovery(load("v3"), stand_of("v3"), **options)  # type: ignore[arg-type]
+    (axes,) = pushed.plot()
+    lines = [np.asarray(line.get_xydata()) for line in axes.lines]
+    zero = max(line[:, 1].max() for line in lines)  # the vertical axis starts at 0 N s
+    heights = [zero - line[:4, 1] for line in lines if len(line) == 5]
+    ratios = pushed.impulses / pushed.impulses[0]
+    assert any(np.allclose(height / height[0], ratios, rtol=5e-3) for height in heights)
+
+
 def test_missing_robot_and_result_without_plot_are_refused() -> None:
     stand = stand_of("v3")
     assert len(stand.plot()) == 2  # a solved stand references its robot

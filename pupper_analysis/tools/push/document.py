@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import floor_within_rounding
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import NextStep, text
+from pupper_analysis.present.document import NextStep, get_english, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document, compare_results
@@ -26,10 +26,14 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
+from pupper_analysis.present.plots import draw_plots, draw_result
 from pupper_analysis.present.verdict import judged_document, select_step_after_failure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.bench import PULSE_DURATION, PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @build_document.register(PushedStance)
@@ -216,6 +220,13 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
         series,
         text("impulse-in-weakest-direction"),
     )
+
+
+@draw_result.register(PushRecovery)
+def plot_recovery(recovery: PushRecovery, _: Robot | None = None) -> tuple[Axes, ...]:
+    """Plot the largest survived impulse [N s] over the direction of the push."""
+    title = doc.Name(get_english(text("pushes")))
+    return draw_plots([push_plot({"stand": recovery}, "stand")], title)
 
 
 def _make_closed_series(
