@@ -401,21 +401,35 @@ def shorten_paths(value: _Value, prefix: str) -> _Value:
     ``prefix`` is the path of the folder. Tuples, the values of dictionaries and the ``init`` fields
     of dataclasses are searched.
     """
-    return cast(_Value, _strip_prefix(value, prefix))
+    return cast(_Value, _replace_text(value, prefix, ""))
 
 
-def _strip_prefix(value: Any, prefix: str) -> Any:
-    """Remove each occurrence of a text from the texts and paths in a value; see `shorten_paths`."""
+def shorten_memory_paths(value: _Value, *paths: Path) -> _Value:
+    """Replace the paths of robots in memory in a value by the names, such as ``<MjSpec pupper>``.
+
+    Such a path is the name in the folder of the meshes, where no file has this name. Other paths
+    are unchanged.
+    """
+    for path in paths:
+        if path.name.startswith("<") and path.name != str(path):
+            value = cast(_Value, _replace_text(value, str(path), path.name))
+    return value
+
+
+def _replace_text(value: Any, prefix: str, short: str) -> Any:
+    """Replace each occurrence of a text in the texts and paths in a value; see `shorten_paths`."""
     if isinstance(value, Phrase):
         texts = str(value), value.chinese
-        return Phrase(*(text.replace(prefix, "") for text in texts)) if prefix in value else value
+        return (
+            Phrase(*(text.replace(prefix, short) for text in texts)) if prefix in value else value
+        )
     if isinstance(value, str):
-        return type(value)(value.replace(prefix, "")) if prefix in value else value
+        return type(value)(value.replace(prefix, short)) if prefix in value else value
     if isinstance(value, Path):
-        return Path(str(value).replace(prefix, "")) if prefix in str(value) else value
+        return Path(str(value).replace(prefix, short)) if prefix in str(value) else value
     if type(value) in (tuple, dict, FrozenDict):
         old = value if isinstance(value, tuple) else tuple(value.values())
-        new = tuple(_strip_prefix(item, prefix) for item in old)
+        new = tuple(_replace_text(item, prefix, short) for item in old)
         if all(one is other for one, other in zip(old, new, strict=True)):
             return value
         kind = type(value)
@@ -423,9 +437,9 @@ def _strip_prefix(value: Any, prefix: str) -> Any:
     if not is_dataclass(value) or isinstance(value, type):
         return value
     changes = {
-        field.name: short
+        field.name: new
         for field in fields(value)
         if field.init
-        and (short := _strip_prefix(old := getattr(value, field.name), prefix)) is not old
+        and (new := _replace_text(old := getattr(value, field.name), prefix, short)) is not old
     }
     return replace(value, **changes) if changes else value

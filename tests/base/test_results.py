@@ -343,3 +343,21 @@ def test_temporary_folder_is_removed_from_diagnostics_in_mappings() -> None:
     assert (str(short["task"]), short["task"].chinese) == ("reads a.xml", "a.xml")
     assert type(short) is FrozenDict
     assert shorten_paths(noted, "/y/") is noted
+
+
+def test_results_of_a_robot_in_memory_contain_no_invented_path() -> None:
+    """Reference: MuJoCo's folder of the meshes, in which no file ``<MjSpec ...>`` exists."""
+    file = ROOT / "mjcf" / "pupper_v3.xml"
+    spec = mujoco.MjSpec.from_file(str(file))
+    assert spec.modelfiledir
+    spec.body("base_link").mass = 2.0
+    audit = pa.audit_model(spec)
+    diff = pa.diff_models(file, spec)
+    compared = pa.compare_models(ROOT / "urdf" / "pupper_v3.urdf", spec)
+    for result, name in ((audit, audit.file), (diff, diff.new), (compared, compared.mjcf)):
+        assert name == "<MjSpec pupper_v3>"
+        text = result.to_json()
+        assert name in text
+        assert f"/{name}" not in text
+    assert diff.old == str(file)
+    assert compared.differences[0].element == "base_link"

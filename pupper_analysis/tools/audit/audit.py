@@ -19,6 +19,7 @@ import numpy as np
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import shorten_memory_paths
 from pupper_analysis.models.loading import Check, CheckFinding, ModelFile, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -102,7 +103,8 @@ def audit_model(
             return _run_rules(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
         file = read_model(path, packages, request)
         name = str(file.path if is_object(path) else path)
-        return _run_rules(name, file, _read_stated_model(file), unwanted, {})
+        audit = _run_rules(name, file, _read_stated_model(file), unwanted, {})
+        return shorten_memory_paths(audit, file.path)
 
 
 def _run_rules(

@@ -34,7 +34,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, shorten_memory_paths
 from pupper_analysis.base.units import (
     EARTH_GRAVITY,
     JointUnits,
@@ -184,9 +184,10 @@ def compare_models(
         replace(difference, made_of=list_mass_shares(difference, *compared.sources))
         for difference in values["differences"]
     )
-    return Comparison(
+    comparison = Comparison(
         **values, check=check, engines=_list_engine_deviations(check, compared.explanation)
     )
+    return shorten_memory_paths(comparison, Path(comparison.urdf), Path(comparison.mjcf))
 
 
 def list_mass_shares(

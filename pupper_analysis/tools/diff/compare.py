@@ -21,7 +21,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.results import Result, Tabular, shorten_memory_paths
 from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.loading import read_model
@@ -213,7 +213,8 @@ def diff_models(
         )
         if type(old_version.file) is not type(new_version.file):
             raise ModelError(after.name, diagnose("formats-differ", other=Path(before.name).name))
-        return _Comparison(old_version, new_version, (before, after), tolerances).result()
+        result = _Comparison(old_version, new_version, (before, after), tolerances).result()
+        return shorten_memory_paths(result, old_version.file.path, new_version.file.path)
 
 
 @contextmanager
