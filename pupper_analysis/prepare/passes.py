@@ -84,7 +84,7 @@ from pupper_analysis.robot.build import build_robot, copy_metadata, with_additio
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
-from pupper_analysis.robot.robot import Robot, defer_stages
+from pupper_analysis.robot.robot import Robot, defer_stages, release_borrowed_objects
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -148,10 +148,13 @@ class Draft:
         spec: Spec of the MJCF, with changes.
         keyframes: {keyframe: {joint: position [rad, m]}} of the keyframes that may become the start
             pose, in the order of the trials.
-        found_match: Matched joints of both files; None before the pass ``match``.
+        found_match: Matched joints of both files; None before the pass ``match``, and in the
+            deferred passes.
+        floating: Whether the matched robot has a free base; False before the pass ``match``.
         description: Both files with matched names; None before the pass ``match``.
         built: Robot; None before the passes ``build`` and ``build-with-fixed-base``.
-        footless: Robot without feet; None before the pass ``find-feet``, and if no feet were found.
+        footless: Robot without feet; None before the pass ``find-feet``, if no feet were found, and
+            in the deferred passes.
         feet: Feet; empty before the pass ``find-feet``.
         refused: Reason why no robot with a free base can be made; None if there is none. Only the
             pass ``fix-base`` is then applied.
@@ -164,6 +167,7 @@ class Draft:
     spec: mujoco.MjSpec
     keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     found_match: Match | None = None
+    floating: bool = False
     description: Description | None = None
     built: Robot | None = None
     footless: Robot | None = None
@@ -283,7 +287,7 @@ def _has_free_base_request(draft: Draft) -> bool:
 
 def _has_free_base(draft: Draft) -> bool:
     """Return True if the robot's base is free; callable only after the pass ``match``."""
-    return not draft.request.fixed_base and draft.match.robot.floating
+    return not draft.request.fixed_base and draft.floating
 
 
 def _has_fixed_base(draft: Draft) -> bool:
@@ -379,7 +383,9 @@ def _match(draft: Draft) -> PassOutput:
     name = draft.request.name or draft.spec.modelname
     description = replace(found.robot.description, name=name)
     messages = (*found.notes, *notes.report_joint_matching(found))
-    return replace(draft, found_match=found, description=description), messages
+    floating = found.robot.floating
+    changed = replace(draft, found_match=found, floating=floating, description=description)
+    return changed, messages
 
 
 @_register_pass(Term("couples joints that follow others"), _applies_always)
@@ -761,6 +767,7 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
     return None
 
 
+@release_borrowed_objects()
 def _pose_without_servos(draft: Draft) -> Robot:
     """Return the robot before servos are added, with its start pose and detected passive joints."""
     robot = _add_notes(draft.robot, draft.runs)
@@ -932,14 +939,20 @@ def prepare_robot(
     return _complete_preparation(_begin_preparation(urdf, mjcf, request))
 
 
+@release_borrowed_objects()
 def _begin_preparation(urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest) -> Draft:
-    """Run the preparation passes of loading: all except servos, rest pose and visual meshes."""
+    """Run the preparation passes of loading: all except servos, rest pose and visual meshes.
+
+    The returned draft lacks ``found_match`` and ``footless``, whose compiled models may be large.
+    """
     check_simulable(mjcf)
     check_joint_limits(urdf)
-    return _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
+    draft = _run_passes(_IMMEDIATE_PASSES, Draft(urdf, mjcf, request, mjcf.spec))
+    return replace(draft, found_match=None, footless=None)
 
 
 @silence_mujoco()
+@release_borrowed_objects()
 def _complete_preparation(draft: Draft) -> tuple[Robot, list[PassRun]]:
     """Run the deferred preparation passes; return the robot with notes, and the passes run."""
     draft = _run_passes(_DEFERRED_PASSES, draft)

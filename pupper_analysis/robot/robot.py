@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -982,7 +983,26 @@ _pool: list[tuple[Robot, object, Any]] = []
 of the robot: a reference cycle would delay the release of memory."""
 
 _pool_lock = Lock()
-"""Lock of `_pool`: a single thread at a time may take or return objects."""
+"""Lock of the pools: a single thread at a time may take or return objects."""
+
+_PooledObjects = list[tuple["Robot", object, Any]]
+
+_temporary_pool: ContextVar[_PooledObjects | None] = ContextVar("_temporary_pool", default=None)
+"""Pool of `release_borrowed_objects`, which replaces `_pool` in its context; None outside."""
+
+
+@contextmanager
+def release_borrowed_objects() -> Iterator[None]:
+    """Context manager: release the objects that are borrowed in its context at its end.
+
+    Use it around code that creates robots for intermediate steps: each object refers to the robot,
+    and a compiled model with many meshes may need hundreds of MB.
+    """
+    token = _temporary_pool.set([])
+    try:
+        yield
+    finally:
+        _temporary_pool.reset(token)
 
 
 @contextmanager
@@ -997,12 +1017,14 @@ def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
         make: Function that creates an object for the robot, for example a class. Together with the
             robot, it is the key of the pool.
     """
+    temporary = _temporary_pool.get()
+    pool = _pool if temporary is None else temporary
     borrowed = None
     with _pool_lock:
-        for index, (owner, maker, candidate) in enumerate(_pool):
+        for index, (owner, maker, candidate) in enumerate(pool):
             if owner is robot and maker == make:  # ==, because bound methods are new objects
                 borrowed = candidate
-                del _pool[index]
+                del pool[index]
                 break
     if borrowed is None:
         borrowed = make(robot)
@@ -1010,5 +1032,5 @@ def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
         yield borrowed
     finally:
         with _pool_lock:
-            _pool.insert(0, (robot, make, borrowed))
-            del _pool[_MAX_POOL_SIZE:]
+            pool.insert(0, (robot, make, borrowed))
+            del pool[_MAX_POOL_SIZE:]
