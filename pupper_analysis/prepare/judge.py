@@ -27,7 +27,7 @@ from pupper_analysis.prepare.limits import (
     loads_motor_without_torque,
     springs_replace_motors,
 )
-from pupper_analysis.prepare.notes import report_tendon_joints
+from pupper_analysis.prepare.notes import report_joints_without_actuator, report_tendon_joints
 from pupper_analysis.prepare.own_run import (
     describe_import_failure,
     get_loaded_robot,
@@ -193,9 +193,10 @@ def _apply_zero_torque_limits(
 def _list_model_remarks(
     robot: Robot, stand: Stand, statics: GravityCompensation | None, *, given_gains: bool
 ) -> tuple[Diagnostic, ...]:
-    """Return the remarks that a verdict makes on the robot: tendons, limbs, soles, files, feet."""
+    """Return the remarks of a verdict on the robot: actuators, limbs, soles, files and feet."""
     return (
         *(() if given_gains else report_tendon_joints(robot)),
+        *report_joints_without_actuator(robot),
         *report_limbs_without_feet(robot),
         *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
         *list_file_remarks(robot),

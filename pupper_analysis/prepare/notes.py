@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,6 +16,7 @@ from pupper_analysis.base.units import JointUnits
 from pupper_analysis.models.transmission import (
     Drive,
     MadeServo,
+    classify_joint_drive,
     fixed_tendon_levers,
     is_at_one_joint,
     list_play_joints,
@@ -67,6 +69,29 @@ def report_passive_joints(robot: Robot) -> Iterator[Diagnostic]:
     """
     if robot.description.passive_joints:
         yield diagnose("joints-passive", joints=robot.description.passive_joints)
+
+
+def report_joints_without_actuator(robot: Robot) -> Iterator[Diagnostic]:
+    """Yield a message about joints without actuator in an MJCF with actuators at other joints.
+
+    The prepared robot has a servo at each of these joints. Passive joints, and MJCFs in which no
+    joint of the robot has an actuator, are not reported.
+    """
+    file = None if robot.published is None else robot.published.file
+    undriven = [
+        servo.joint for servo in robot.description.made_servos if servo.instead_of is Drive.NONE
+    ]
+    if file is None or file.of_urdf or not undriven:
+        return
+    model = file.model
+    others = [
+        name
+        for name in robot.joint_names
+        if (joint := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)) >= 0
+        and classify_joint_drive(model, joint) is not Drive.NONE
+    ]
+    if others:
+        yield diagnose("joints-without-actuator", joints=undriven, count=len(others))
 
 
 def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:

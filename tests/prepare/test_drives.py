@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare import drives, self_check
+from pupper_analysis.prepare import drives, judge, self_check
+from pupper_analysis.prepare.notes import report_joints_without_actuator
 from pupper_analysis.prepare.self_check import compare_as_published, compare_nominal_stand
 from pupper_analysis.present.document import get_english
 from pupper_analysis.pupper.variants import find_model_folder
@@ -290,3 +292,33 @@ def test_smaller_time_step_is_not_simulated_if_gains_suit_the_step_of_the_file(
     made = drives.add_position_servos(robot, stand, original)
     assert made.num_rest_modes == 2
     assert simulated == [step] * 4  # two candidates, with and without feed-forward
+
+
+@pytest.mark.parametrize(
+    ("removed", "count"),
+    [(r"FL_knee", 11), (r"FL_knee|RR_roll", 10), (r"\w+", 0), (r"no_joint", 0)],
+)
+def test_joints_without_actuator_are_reported_if_other_joints_have_actuators(
+    tmp_path: Path, removed: str, count: int
+) -> None:
+    """Reference: the joints at which MuJoCo's actuators exert no torque, whatever the ctrl is."""
+    pair = quadruped(tmp_path, floor=True)
+    text = re.sub(rf'<motor joint="(?:{removed})"[^>]*/>', "", pair.mjcf.read_text())
+    pair.mjcf.write_text(text)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(model, data)
+    robot = pa.load_robot(*pair)
+    bare = [
+        name for name in robot.joint_names if data.qfrc_actuator[model.joint(name).dofadr[0]] == 0
+    ]
+    messages = list(report_joints_without_actuator(robot))
+    if not count:
+        assert messages == []
+        return
+    (message,) = messages
+    assert list(message.values["joints"]) == bare
+    assert message.values["count"] == count == robot.nu - len(bare)
+    remarks = judge._list_model_remarks(robot, pa.solve_stand(robot), None, given_gains=True)
+    assert message in remarks
