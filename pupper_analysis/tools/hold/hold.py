@@ -328,10 +328,12 @@ def servo_payload(
     stiffness = basis.T @ (empty + np.diag(gains)) @ basis
     added = basis.T @ (loaded - empty) @ basis
     stiffness, added = (stiffness + stiffness.T) / 2, (added + added.T) / 2
-    if linalg.eigvalsh(stiffness)[0] <= 0:
-        return 0.0, ""
-    # Largest softening per mass [1/kg]; rounding if the mass stiffens all motions.
-    softening = float(linalg.eigh(-added, stiffness, eigvals_only=True)[-1])
+    softening = 0.0  # if loops and couplings permit no motion
+    if len(stiffness):
+        if linalg.eigvalsh(stiffness)[0] <= 0:
+            return 0.0, ""
+        # Largest softening per mass [1/kg]; rounding if the mass stiffens all motions.
+        softening = float(linalg.eigh(-added, stiffness, eigvals_only=True)[-1])
     stable = 1 / softening if softening > _MIN_SOFTENING / robot.total_mass else math.inf
     lead = compute_command_lead(config.transfer_to_motors(config.static_load()), gains)
     borne = config.transfer_to_motors(tool.load_per_mass(config))

@@ -297,6 +297,28 @@ def test_no_payload_is_held_if_a_command_is_beyond_its_range_without_it(tmp_path
     assert found == (0.0, "elbow")
 
 
+def test_servos_of_an_arm_whose_tip_is_welded_to_the_world_have_no_payload_limit(
+    tmp_path: Path,
+) -> None:
+    """Reference: the six equations of MuJoCo's weld have the rank of all joints, so that no
+    motion remains that a mass could make unstable.
+    """
+    free = load_arm(tmp_path, mjcf=by_hand.MJCF)
+    data = mujoco.MjData(free.mj_model)
+    for name, position in POSTURE.items():
+        data.joint(name).qpos = position
+    mujoco.mj_forward(free.mj_model, data)
+    jacobian = np.zeros((6, free.mj_model.nv))
+    hand = data.body("hand")
+    mujoco.mj_jacBody(free.mj_model, data, jacobian[:3], jacobian[3:], hand.id)
+    assert np.linalg.matrix_rank(jacobian) == free.nu
+    pose = " ".join(map(repr, (*hand.xpos.tolist(), *hand.xquat.tolist())))
+    weld = f'<equality><weld body1="world" body2="hand" relpose="{pose}"/></equality></mujoco>'
+    robot = load_arm(tmp_path, mjcf=by_hand.MJCF.replace("</mujoco>", weld))
+    found = servo_payload(robot, find_posture(robot, POSTURE), find_tool(robot))
+    assert found == (math.inf, "")
+
+
 def test_overloaded_joint_without_payload_is_the_one_with_the_largest_excess() -> None:
     """By hand: the torque of the shoulder is larger than that of the elbow by more than the
     difference of their limits."""
