@@ -183,7 +183,7 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
     """
     vector = real_array(name, values)
     if vector.shape != (size,):
-        message = diagnose("array-of-another-shape", size=size, shape=str(vector.shape))
+        message = diagnose("array-of-another-shape", size=size, shape=str(vector.shape), rows="")
         raise ConfigurationError(name, message)
     # The norm is faster than a test of each element. The norm of finite elements may overflow, so
     # the elements are tested if the norm is not finite.

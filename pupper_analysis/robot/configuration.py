@@ -594,7 +594,7 @@ class Configuration(Pictured):
         forces = real_array("forces", forces)
         if forces.ndim not in (1, 2) or len(forces) != self.robot.nv:
             message = diagnose(
-                "array-of-another-shape", size=self.robot.nv, shape=str(forces.shape)
+                "array-of-another-shape", size=self.robot.nv, shape=str(forces.shape), rows=""
             )
             raise ConfigurationError("forces", message)
         closure = self.robot.closure

@@ -58,7 +58,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     )
 
 
-def describe_counts(counts: Mapping[Severity, int]) -> doc.Words:
+def describe_counts(counts: Mapping[str, int]) -> doc.Words:
     """Return a text with the number of findings by severity: ``1 error, 2 warnings, 0 notes``."""
     return join_words(
         text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))

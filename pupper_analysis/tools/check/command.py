@@ -149,9 +149,9 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
-    from pupper_analysis.base.inputs import is_folder, path_exists
+    from pupper_analysis.base.inputs import CONFIG_NAME, is_folder, path_exists
     from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
-    from pupper_analysis.tools.check.config import CONFIG_NAME, write_config
+    from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))

@@ -252,7 +252,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
     For example, ``1 to fix, 2 warnings``; ``0 errors, 2 warnings, 3 notes`` if no finding fails.
     """
     passing = [remark for remark in check.remarks if not remark.known and not remark.fails]
-    counts = {
+    counts: dict[str, int] = {
         severity: count_findings(remark for remark in passing if remark.severity is severity)
         for severity in Severity
     }
