@@ -9,6 +9,7 @@ in place.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,7 +29,7 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
@@ -178,8 +179,10 @@ def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Tree
 def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model:
     """Build the Pinocchio model of a URDF, with free or fixed base.
 
-    Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Efforts
-    and velocities of at least ``UNSTATED`` become infinite.
+    Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Infinite
+    limits become the largest float, as for a free flyer in Pinocchio, because Pinocchio cannot read
+    infinite values of a pickled model. Efforts and velocities of at least ``UNSTATED`` mean an
+    unknown limit.
 
     Args:
         text: URDF; must be well-formed XML.
@@ -197,9 +200,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     _correct_inertias(model, tree)
-    for name in ("effortLimit", "velocityLimit"):
-        limits = np.array(getattr(model, name))
-        setattr(model, name, np.where(limits >= UNSTATED, np.inf, limits))
+    for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
+        setattr(model, name, np.clip(getattr(model, name), -sys.float_info.max, sys.float_info.max))
     return model
 
 

@@ -7,6 +7,7 @@ frames of one tree to the frames of another tree.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +19,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, JointAttribute, known_limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +203,12 @@ _PINOCCHIO_ATTRIBUTES = tuple(attribute for attribute in JOINT_ATTRIBUTES if att
 """Joint parameters that a Pinocchio model contains."""
 
 
+def _read_attribute(model: pin.Model, attribute: JointAttribute, index: int) -> float:
+    """Return an attribute of the joint with a velocity index; inf for an unknown limit."""
+    value = float(getattr(model, attribute.pinocchio)[index])
+    return known_limit(value) if attribute.unstated == math.inf else value
+
+
 def from_pinocchio(
     model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
 ) -> MultibodyTree:
@@ -244,7 +251,7 @@ def from_pinocchio(
             lower=float(model.lowerPositionLimit[q]) if bounded else -np.inf,
             upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
             **{
-                attribute.field: float(getattr(model, attribute.pinocchio)[v])
+                attribute.field: _read_attribute(model, attribute, v)
                 for attribute in _PINOCCHIO_ATTRIBUTES
             },
         )

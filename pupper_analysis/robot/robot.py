@@ -701,7 +701,7 @@ class Robot(EngineModels):
 
         The value is 0 if the URDF states 0 or less: the joint may not move.
         """
-        limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
+        limits = known_positions(self.pin_model.velocityLimit[self.pin_convention.v_index])
         found: Array = np.maximum(limits, 0.0)
         return found
 

@@ -362,7 +362,11 @@ def test_shared_arrays_of_a_robot_are_read_only(pickled: bool) -> None:
         **vars(robot.mj_convention),
         **vars(robot.pin_convention),
     }
-    arrays = {name: value for name, value in shared.items() if isinstance(value, np.ndarray)}
+    arrays = {
+        name: value
+        for name, value in shared.items()
+        if isinstance(value, np.ndarray) and not name.startswith("_")
+    }
     assert {"home", "q_index", "qpos_index"} <= arrays.keys()
     for name, array in arrays.items():
         with pytest.raises(ValueError, match="read-only"):
@@ -376,3 +380,21 @@ def test_change_of_the_nominal_joints_does_not_change_later_stands() -> None:
     with pytest.raises(ValueError, match="read-only"):
         robot.nominal[:] = 1.0
     np.testing.assert_array_equal(pa.solve_stand(robot).qpos, before)
+
+
+@pytest.mark.parametrize("limit", ["5", "1e9", "1.7e308"])
+def test_pinocchio_model_is_equal_after_pickling(tmp_path: Path, limit: str) -> None:
+    """Pinocchio cannot read infinite numbers that it writes. Reference: `pin.Model.__eq__`."""
+    text = replace_text(TINY_URDF, '<limit effort="5" velocity="9"/>', f'<limit effort="{limit}"/>')
+    text = replace_text(text, f'effort="{limit}"', f'effort="{limit}" velocity="{limit}"')
+    robot = load_files(write(tmp_path, text))
+    model = robot.pin_model
+    assert pickle.loads(pickle.dumps(model)) == model
+    is_unknown = limit != "5"
+    assert np.isinf(robot.velocity_limits).any() == is_unknown
+
+
+def test_pinocchio_model_with_free_base_is_equal_after_pickling() -> None:
+    model = load("v3").pin_model
+    assert pickle.loads(pickle.dumps(model)) == model
+    assert (model.effortLimit[:6] > 1e300).all()

@@ -39,6 +39,7 @@ from pupper_analysis.base.units import (
     EARTH_GRAVITY,
     JointUnits,
 )
+from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.conversion import (
     UrdfImport,
     acting_gravity,
@@ -346,7 +347,11 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
         "lower joint limits": robot.lower_limits,
         "upper joint limits": robot.upper_limits,
         # An effort of 0 means no limit in a URDF, as in MuJoCo's importer.
-        "effort limits": np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
+        "effort limits": np.where(
+            (model.effortLimit[v] == 0) | (model.effortLimit[v] >= UNSTATED),
+            np.inf,
+            model.effortLimit[v],
+        ),
         "armature": model.armature[v],
         "joint damping": model.damping[v],
         "joint friction": model.friction[v],
