@@ -208,6 +208,7 @@ class Metric:
             are the function of a design, and a hash of the file content.
         file: Text after the colon in ``NAME:FILE``.
         content: Hash that `of_file` returned.
+        is_truth: Whether the metric is a truth value; stored as 1 or 0.
     """
 
     name: str
@@ -218,6 +219,7 @@ class Metric:
     of_file: Callable[[str], tuple[Callable[[Design], MetricValue], str]] | None = None
     file: str = ""
     content: str = ""
+    is_truth: bool = False
 
 
 def text_key(metric: str) -> str:
@@ -322,13 +324,13 @@ _METRICS_OF_DESIGNS = (
     Metric("servo_sag", lambda d: d.standing_equilibrium.servo_sag, "m"),
     Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2"),
     Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
-    Metric("stands", _check_stand, "1", fallen=0.0),
-    Metric("set_down", survives_set_down, "1", simulates=True, fallen=0.0),
+    Metric("stands", _check_stand, "1", fallen=0.0, is_truth=True),
+    Metric("set_down", survives_set_down, "1", simulates=True, fallen=0.0, is_truth=True),
     Metric("minimum_stiffness", _compute_minimum_stiffness, STIFFNESS_UNIT, simulates=True),
     Metric("height_range", lambda d: d.compute_base_range("height"), "m", simulates=True),
     Metric("roll_range", lambda d: d.compute_base_range("roll"), "rad", simulates=True),
     Metric("pitch_range", lambda d: d.compute_base_range("pitch"), "rad", simulates=True),
-    Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0),
+    Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0, is_truth=True),
 )
 """Metrics that are defined in this module; other tools define further metrics."""
 

@@ -55,6 +55,7 @@ from pupper_analysis.tools.study.design import (
     make_robot_source,
 )
 from pupper_analysis.tools.study.measures import (
+    METRICS,
     METRICS_REVISION,
     MetricFunction,
     fingerprint_metric,
@@ -483,7 +484,7 @@ class Study:
 
         Returns:
             A row per different design, in the order of the study: hash, variable values, measured
-            values, and the failure columns.
+            values, and the failure columns. Metrics such as ``stands`` are truth values.
 
         Raises:
             ConfigurationError: If an argument is not valid.
@@ -494,7 +495,7 @@ class Study:
             MissingPackageError: If pyarrow or pandas is not installed.
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
-        return self.table(folder)
+        return restore_truth_values(self.table(folder))
 
     def execute(
         self,
@@ -589,6 +590,16 @@ def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.Da
     return table.assign(**named) if named else table
 
 
+def restore_truth_values(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table of a study with truth values in place of the stored 1 and 0.
+
+    The type is ``bool``, or pandas' ``boolean`` if a value is missing.
+    """
+    columns = [name for name, metric in METRICS.items() if metric.is_truth and name in table]
+    types = {name: "boolean" if table[name].hasnans else "bool" for name in columns}
+    return table.astype(types)
+
+
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
     """Compute a hash per design from the study's digest, the variable names and the values.
 
@@ -655,4 +666,4 @@ def read_study(folder: str | Path) -> pd.DataFrame:
             problem = diagnose("key-missing", key=str(error))
         raise StudyError(folder, diagnose("study-does-not-say", what=problem)) from error
     blocks = (hash_designs(digest, tuple(variables), block) for block in sampling.blocks())
-    return name_motors(order_rows(store.table(), blocks), variables)
+    return restore_truth_values(name_motors(order_rows(store.table(), blocks), variables))

@@ -69,7 +69,8 @@ def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     table = study(vary, *metrics).run(tmp_path, executor=threads).set_index(
         ["torso_mass_scale", "height"]
     )  # fmt: skip
-    assert table["stands"].to_list() == [1, 0, 0, 0, 0, 0]
+    assert table["stands"].to_list() == [True, False, False, False, False, False]
+    assert table["stands"].dtype == bool
     assert table["sag"].notna().to_list() == [True, False, False, False, False, False]
     assert table["failure"].isna().to_list() == [True, False, False, False, False, False]
     heavy = table.loc[(2.5, 0.19)]

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 from scipy import stats
@@ -31,7 +32,7 @@ from pupper_analysis.tools.study.parameters import (
     with_ground_friction,
     without_visuals,
 )
-from pupper_analysis.tools.study.study import hash_designs
+from pupper_analysis.tools.study.study import hash_designs, restore_truth_values
 from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
 from tests.support import slips
 from tests.support.arm import MJCF, URDF, load_arm
@@ -631,7 +632,16 @@ def test_repr_and_table_of_a_study_state_robot_designs_variables_and_metrics() -
     shown = made._repr_html_()
     assert "leg_scale: values [1.0, 1.1]" in shown
     assert "com_margin" in shown
-    many = pa.Study(
-        "v3", {"slope": [0.0]}, [name for name in pa.study.METRICS if ":" not in name][:20]
-    )
+    names = [name for name, metric in METRICS.items() if metric.of_file is None]
+    many = pa.Study("v3", {"slope": [0.0]}, names)
     assert len(repr(many)) <= 200
+
+
+def test_truth_values_of_a_table_are_restored() -> None:
+    """Reference: the stored 1, 0 and missing values."""
+    whole = restore_truth_values(pd.DataFrame({"stands": [1.0, 0.0], "servo_sag": [1.0, 0.0]}))
+    assert whole["stands"].tolist() == [True, False]
+    assert (whole["stands"].dtype, whole["servo_sag"].dtype) == (bool, float)
+    partial = restore_truth_values(pd.DataFrame({"stands": [1.0, np.nan, 0.0]}))["stands"]
+    assert partial.isna().tolist() == [False, True, False]
+    assert partial.dropna().tolist() == [True, False]
