@@ -64,8 +64,8 @@ class Interval(Result):
     """Reachable interval of one base coordinate, with the feet planted.
 
     Attributes:
-        low: Lower end (m, or rad).
-        high: Upper end (m, or rad).
+        low: Lower end (rad or m).
+        high: Upper end (rad or m).
     """
 
     low: float = field(metadata={"unit": POSITION_UNIT})
