@@ -8,6 +8,7 @@ use.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
@@ -118,6 +119,7 @@ class Result:
     def __init_subclass__(cls) -> None:
         # The decorator of a dataclass writes a __repr__, unless the class itself has one.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+        cls.__doc__ = _add_inherited_fields(cls)
 
     def __post_init__(self) -> None:
         attributes = vars(self)
@@ -186,6 +188,30 @@ class Result:
         """
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
+
+
+def _add_inherited_fields(kind: type) -> str | None:
+    """Return the docstring of a class with the names of the inherited fields, by base class."""
+    text, known = kind.__doc__, set(kind.__annotations__)
+    if text is None:
+        return None
+    for base in filter(is_dataclass, kind.__mro__[1:]):
+        own = [name for name in vars(base).get("__annotations__", {}) if name[0] != "_"]
+        names = [item.name for item in fields(base) if item.name in own and item.name not in known]
+        known |= set(names)
+        if names:
+            listed = ", ".join(f"``{name}``" for name in names)
+            sentence = f"Inherited fields, described in ``{base.__name__}``: {listed}."
+            indent = "    "
+            filled = textwrap.fill(
+                sentence,
+                100,
+                initial_indent=indent,
+                subsequent_indent=indent,
+                break_on_hyphens=False,
+            )
+            text = f"{text.rstrip()}\n\n{filled}\n{indent}"
+    return text
 
 
 class Pictured:

@@ -8,6 +8,7 @@ import json
 import math
 import pickle
 import pkgutil
+import re
 import sys
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
@@ -25,6 +26,7 @@ from pupper_analysis.base.diagnostics import Phrase, diagnose
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.gains.gains import study_gains
 from pupper_analysis.tools.heat.heat import study_heat
 from tests.support.repository import ROOT
@@ -206,6 +208,17 @@ def list_result_types(base: type = Result) -> set[type]:
         if is_dataclass(kind) and kind.__module__.startswith("pupper_analysis."):
             found.add(kind)
     return found
+
+
+def test_docstring_of_each_result_names_its_fields_and_where_they_are_described() -> None:
+    """Reference: the fields of the dataclass."""
+    assert "described in ``Equilibrium``: ``joint_names``, ``joint_torques``" in " ".join(
+        (GravityCompensation.__doc__ or "").split()
+    )
+    for kind in list_result_types():
+        for item in fields(kind):  # type: ignore[arg-type]
+            if not item.name.startswith("_"):
+                assert re.search(rf"\b{item.name}\b", kind.__doc__ or ""), (kind, item.name)
 
 
 def test_each_key_field_exists() -> None:
