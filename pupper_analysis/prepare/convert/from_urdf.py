@@ -510,7 +510,7 @@ class ConvertedMjcf:
             raise ModelError(urdf.path, diagnose("no-joint-moves"))
         tree = urdf.tree.copy()
         is_floating = _remove_massless_root(tree)
-        has_free_base = _has_limbs(tree, is_floating=is_floating) if free is None else free
+        has_free_base = has_limbs(tree, is_floating=is_floating) if free is None else free
         links = LinkBodies(tree, has_free_base)
         moved_notes, repairs = repair_inertials(urdf, links, repair=options.repair_inertia)
         mended = write_repairs(urdf, links, repairs)
@@ -620,7 +620,7 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
     return is_floating
 
 
-def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
+def has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
     """Return True if the robot of a URDF gets a free base by default.
 
     This is so if the base floats in the URDF (``is_floating``), or if at least

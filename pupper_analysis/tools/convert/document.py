@@ -114,6 +114,8 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
             torque=f"{run.torque_error:.1e}",
             **_format_added_gains(conversion),
         ).with_mark("good" if run.passed else "bad")
+    elif (gains := _format_added_gains(conversion))["kp"]:
+        yield text("servos-added-in-short", **gains)
     if conversion.not_converted:
         first, *others = conversion.not_converted
         yield text("not-converted-in-short", first=doc.diagnostic_text(first), more=len(others))
@@ -124,7 +126,8 @@ def _format_added_gains(conversion: Conversion) -> dict[str, str]:
 
     For example {"kp": "320 N m/rad", "kp_number": "320"}.
     """
-    added = next((note for note in conversion.notes if note.code == "servos-added"), None)
+    codes = ("servos-added", "servos-made")
+    added = next((note for note in conversion.notes if note.code in codes), None)
     gains: dict[str, str] = {"kp": "", "kd": "", "kp_number": "", "kd_number": ""}
     for gain in ("kp", "kd") if added is not None else ():
         span = added.values[gain]  # type: ignore[union-attr]

@@ -291,7 +291,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     """List parts of a URDF that the new MJCF does not contain, with their counts."""
-    losses = []
+    losses, count, spans = [], 0, []
     for are_slides in (False, True):
         speeds = [
             float(limit.get("velocity"))
@@ -302,8 +302,11 @@ def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
             and math.isfinite(known_limit(float(limit.get("velocity"))))
         ]
         if speeds:
-            limits = describe_span(speeds, select_joint_units(slides=are_slides).velocity)
-            losses.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
+            count += len(speeds)
+            spans.append(describe_span(speeds, select_joint_units(slides=are_slides).velocity))
+    if spans:
+        slides = spans[1] if len(spans) > 1 else None
+        losses.append(diagnose("velocity-limits-left", count=count, limits=spans[0], slides=slides))
     textured = len(list(urdf.root.iter("texture")))
     if textured:
         losses.append(diagnose("textures-left", count=textured))

@@ -20,6 +20,7 @@ from pupper_analysis.base.errors import (
     MeasurementError,
     PupperAnalysisError,
 )
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.inputs import find_similar_files, path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
@@ -234,7 +235,7 @@ def command(
     selection = which.select_robot(words) or "v3"
     robot = load_selected_robot(selection)
     if mode in ("--plan", "--record", "--stands"):
-        _check_stands(robot, record, stands, has_kp=bool(kp))
+        _check_stands(robot, mode, record, stands, has_kp=bool(kp))
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording | TraceRecording
     if record is not None:
@@ -286,13 +287,16 @@ def command(
     shared.finish_command(json_path, result, passed=passed)
 
 
-def _check_stands(robot: Robot, record: Path | None, stands: Path | None, *, has_kp: bool) -> None:
+def _check_stands(
+    robot: Robot, mode: str, record: Path | None, stands: Path | None, *, has_kp: bool
+) -> None:
     """Raise an error if the base is fixed, or if a file of stands is missing.
 
     The error about a fixed base contains the command that fits a log of motions.
 
     Args:
         robot: Robot that shall stand.
+        mode: Typed option, such as ``--plan``.
         record: Plan that shall be recorded.
         stands: File of recorded stands.
         has_kp: Whether kp is typed.
@@ -303,7 +307,10 @@ def _check_stands(robot: Robot, record: Path | None, stands: Path | None, *, has
         if isinstance(error.problem, Diagnostic) and not error.problem.values["why"]:
             omitted = (*_MEASURING_OPTIONS, "--stands", "--weight")
             step = NextStep("fit", ("--log", "motion.csv"), omitted=omitted)
-            error.add_note(complete_command(step))
+            values = FrozenDict({**error.problem.values, "mode": mode})
+            refused = ConfigurationError("robot", replace(error.problem, values=values))
+            refused.add_note(complete_command(step))
+            raise refused from None
         raise
     if (planned := record or stands) is not None:
         plan = record or Path("plan.csv")

@@ -164,6 +164,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
         unit=hold.statics.torque_units[index],
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
         joint=doc.Name(worst.joint_names[index]),
+        hangs=hold.hangs,
     )
 
 
@@ -174,11 +175,16 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
     if math.isnan(payload) and (efforts := _format_example_efforts(hold)):
         tool, example = doc.Name(hold.tool.name), ", ".join(efforts[1::2])
         return text("worst-payload-unknown", tool=tool, example=example)
+    servos = hold.verdict.servos
+    added = "..".join(dict.fromkeys(f"{kp:.3g}" for kp in servos.kp)) if servos.made else ""
     return text(
         "worst-posture-payload",
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
-        joint=doc.Name(joint) if joint else "",
+        # With the added servos, the line has no more room: a table names the joint.
+        joint=doc.Name(joint) if joint and not (hold.hangs and added) else "",
+        hangs=hold.hangs,
+        kp=added if hold.hangs else "",
         alone="" if math.isnan(alone) else _format_payload_limit(alone),
         refuted=_is_payload_refuted(hold),
         fails=_is_payload_refuted(hold) and math.isnan(alone),

@@ -27,6 +27,8 @@ from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
 from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.prepare.convert.from_urdf import has_limbs
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
@@ -386,7 +388,8 @@ class Hold(Tabular):
 
     Attributes:
         name: Name of the robot.
-        hangs: True if the base is free in the MJCF, but fixed in this posture.
+        hangs: True if the base is free in the MJCF, or by default for the URDF, but fixed in this
+            posture.
         posture: Commanded posture.
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
             in place of N m.
@@ -545,7 +548,7 @@ def hold_posture(
         )
     return Hold(
         name=robot.name,
-        hangs=has_free_joint(robot.description.mjcf),
+        hangs=_has_legs(robot),
         posture=posture,
         units=list_position_units(robot),
         tool=point,
@@ -568,6 +571,14 @@ def hold_posture(
         reach=reach_load(robot, posture, point),
         mass_by_commands_alone=mass_alone,
     )
+
+
+def _has_legs(robot: Robot) -> bool:
+    """Return True if the base is free in the MJCF, or by default for the URDF."""
+    description = robot.description
+    if description.converted == "mjcf":
+        return has_limbs(UrdfTree.of(description.urdf), is_floating=False)
+    return has_free_joint(description.mjcf)
 
 
 def _find_equilibrium(

@@ -162,13 +162,13 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
-    following = next(
+    name, following = next(
         (
-            bound
-            for bound in limit.bounds.values()
+            (name, bound)
+            for name, bound in limit.bounds.items()
             if limit.mass < bound.mass < math.inf and bound.failure is not limit.failure
         ),
-        None,
+        ("", None),
     )
     alone = limit.passed and not math.isnan(limit.mass_by_commands_alone)
     return text(
@@ -179,6 +179,7 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
         failure=_describe_failure(limit.failure, limit.failing_parts),
         next="" if following is None else mass_text(following.mass),
         cause="" if following is None else word(following.failure.value),
+        bound="" if following is None else text(_BOUND_KEYS[name]),
     )
 
 

@@ -668,7 +668,7 @@ def test_passed_check_names_the_model_that_is_paired_with_no_urdf(tmp_path: Path
     (tmp_path / "pupper-analysis.toml").unlink()
     run(tmp_path, "--init")
     lines = run(tmp_path).stdout.splitlines()
-    assert lines[1].endswith("; paired with no URDF, so not compared: scene.xml")
+    assert lines[1].endswith("; paired with no URDF, so not compared: scene.xml; 1 more: -v")
 
 
 def test_next_command_after_warnings_is_audit_of_the_file(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_short_answer_states_the_mass_without_the_limit() -> None:
         for words in payload_document(make_payload_result()).findings
         if isinstance(words, Text) and words.short.startswith("limit: ")
     ]
-    assert limit.endswith("; next limit 4.56 kg")
+    assert limit.endswith("; motors: 4.56 kg")
 
 
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
@@ -126,7 +126,7 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
         if isinstance(words, Text) and words.en.startswith("largest payload ")
     ]
     assert mass.en.startswith("largest payload 1.23 kg with gravity compensation, 0.50 kg without")
-    assert " gravity-compensated, 0.50 kg without" in mass.short
+    assert ", 0.50 kg uncompensated" in mass.short
     assert "only with gravity compensation" not in " ".join(print_words(answer))
     (limit,) = [
         words

@@ -44,7 +44,10 @@ def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
     text = " ".join(print_words(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
-    assert "largest push in the weakest direction (240 deg): 0.43 N s" in text
+    assert (
+        "largest push in the weakest direction (240 deg; 0 deg: forward, 90 deg: left): 0.43 N s"
+        in text
+    )
     one.recovery.failures_without_push = (problem("the robot fell over"),)
     text = " ".join(print_words(push_document(one)))
     assert text.startswith("FAILS one: the robot does not stand, so it withstands no push ")
@@ -151,9 +154,9 @@ def test_push_limit_states_that_its_servos_were_added() -> None:
 @pytest.mark.parametrize(
     ("resolution", "angle", "expected"),
     [
-        (1.0, 90.0, "at least 90 N s in 3 directions, weakest 90 deg (left)"),
-        (0.02, 180.0, "at least 90.37 N s in 3 directions, weakest 180 deg (back)"),
-        (0.1, 240.0, "at least 90.3 N s in 3 directions, weakest 240 deg"),
+        (1.0, 90.0, "at least 90 N s in 3 directions, weakest to the left (90 deg)"),
+        (0.02, 180.0, "at least 90.37 N s in 3 directions, weakest to the back (180 deg)"),
+        (0.1, 240.0, "at least 90.3 N s in 3 directions, weakest to 240 deg"),
     ],
 )
 def test_first_line_states_the_least_impulse_with_the_digits_of_its_resolution(

@@ -54,7 +54,7 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
-    assert limits == ("  no torques or collisions; limits: joints (all), reach (all but yaw)")
+    assert limits == ("  torques, collisions not tested; limits: joints (all), reach (all but yaw)")
     assert answer.startswith("RANGE stub: height 92..192, x ")
     assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1
