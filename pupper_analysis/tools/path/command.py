@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.next_step import complete_command
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import (
     MOTOR_OPTION,
@@ -15,6 +18,10 @@ from pupper_analysis.cli.stance_options import (
     robot_and_task,
 )
 from pupper_analysis.tools.path import kinds
+
+if TYPE_CHECKING:
+    from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.stance.stand import Stand
 
 
 @shared.command("path")
@@ -70,9 +77,44 @@ def command(
     kp, kd = request.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd, motors=assigned)
+        if not result.path.has_motion:
+            _refuse_missing_goal(robot, result.stand)
     request.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)
         shared.confirm_written(csv)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+_EXAMPLE_HEIGHT_RATIOS = (0.9, 1.1)
+"""Base heights of the proposed goal, divided by the height of the start stance [1], in the order in
+which they are tried. Chosen, not tuned: the motion is visible, and most legs reach one of both."""
+
+
+def _refuse_missing_goal(robot: Robot, stand: Stand) -> None:
+    """Raise an error about a goal that equals the start stance, with a command that has a goal.
+
+    The command contains a reachable base height; without such a height, it is `workspace`.
+
+    Args:
+        robot: Robot.
+        stand: Start stance, which is also the goal.
+    """
+    from pupper_analysis.base.diagnostics import diagnose
+    from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+    from pupper_analysis.present.document import NextStep
+    from pupper_analysis.stance.stand import solve_stand
+
+    step = NextStep("workspace")
+    for ratio in _EXAMPLE_HEIGHT_RATIOS if stand.task.height else ():
+        height = round(1e3 * ratio * (stand.task.height or 0.0))
+        try:
+            solve_stand(robot, replace(stand.task, height=1e-3 * height))
+        except PupperAnalysisError:
+            continue
+        step = NextStep("path", ("--height", f"{height}mm"))
+        break
+    error = ConfigurationError("robot", diagnose("path-goal-missing", robot=robot.name))
+    error.add_note(complete_command(step))
+    raise error

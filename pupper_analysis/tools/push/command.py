@@ -22,7 +22,7 @@ from pupper_analysis.cli.stance_options import (
     "--directions",
     default=12,
     show_default=True,
-    help="Number of push directions, evenly spaced; 0 deg pushes forward, 90 deg to the left; e.g. 4.",
+    help="Number of push directions, evenly spaced (0 deg: forward, 90 deg: left); e.g. 4.",
 )
 @click.option(
     "--resolution",
