@@ -509,7 +509,7 @@ def test_default_contacts_off_level_ground_are_refused(task: pa.StandTask) -> No
         lambda config: pa.statics.inverse_dynamics(config, np.zeros(robot.nv)),
     ):
         with pytest.raises(pa.ConfigurationError, match=r"pa\.stand_statics\(robot, stand\)"):
-            compute(config)  # type: ignore[operator]
+            compute(config)
     partial = dict(list(stand.normals.items())[:2])
     with pytest.raises(pa.ConfigurationError, match="contacts: "):
         pa.gravity_compensation(config, normals=partial)
