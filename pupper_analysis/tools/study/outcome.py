@@ -181,7 +181,7 @@ def study_outcome(
     check_type("maximise", maximise, Sequence[str])
     require_library("pandas")
     Store(Path(folder)).read_request()  # raises StudyError if the folder contains no study
-    table = study.table(folder)
+    table = study.stored_table(folder)
     if table.empty:
         finding = diagnose("study-has-no-design", folder=str(folder))
         raise ConfigurationError("folder", finding)

@@ -495,7 +495,7 @@ class Study:
             MissingPackageError: If pyarrow or pandas is not installed.
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
-        return restore_truth_values(self.table(folder))
+        return self.table(folder)
 
     def execute(
         self,
@@ -535,7 +535,19 @@ class Study:
             return run.measure_missing(self.designs(), executor, workers)
 
     def table(self, folder: str | Path) -> pd.DataFrame:
-        """Return the stored rows of the designs of this study, in the order of the study.
+        """Return the stored rows of the designs of this study, as `run` returns the rows.
+
+        Args:
+            folder: Folder in which the study stores the results.
+
+        Raises:
+            StudyError: If a file with results (shard) is damaged.
+            MissingPackageError: If pandas is not installed.
+        """
+        return restore_truth_values(self.stored_table(folder))
+
+    def stored_table(self, folder: str | Path) -> pd.DataFrame:
+        """Return the same rows as `table`, with the stored 1 and 0 for truth values.
 
         Args:
             folder: Folder in which the study stores the results.

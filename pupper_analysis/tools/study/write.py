@@ -106,7 +106,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     check_type("number", number, int)
     check_type("folder", folder, str | Path)
     require_library("pandas")
-    table = study.table(folder)
+    table = study.stored_table(folder)
     if not 1 <= number <= len(table):
         finding = diagnose("design-not-there", number=number, count=len(table))
         raise ConfigurationError("number", finding)
