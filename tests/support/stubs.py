@@ -170,6 +170,7 @@ ANALYSIS: Any = Stub(
     verification=run(0.0, passed=True),
     sagging=run(0.01, passed=False),
     verdict=judge_stance(run(0.0, passed=True), run(0.01, passed=False), SERVOS),
+    servos=None,
     sweep=Stub(
         kp=np.array([10.0, 30.0]),
         kd=np.array([0.5, 1.0, 2.0]),

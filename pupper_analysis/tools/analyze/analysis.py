@@ -5,6 +5,7 @@ Input is a robot with a floating base and a stand task; output is an ``Analysis`
 
 from __future__ import annotations
 
+import contextlib
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ import numpy as np
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import (
     ARMATURE_UNIT,
@@ -31,6 +33,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, is_slide, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
+from pupper_analysis.simulation.servo_bounds import ServoBounds, bound_servo_gains
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -179,6 +182,8 @@ class Analysis(Result):
         verified: True if the verdict is good, the simulation with feed-forward holds and the models
             agree.
         failures: Failures of the simulation with feed-forward and of the cross-check.
+        servos: Present gains of the servos with lower and upper bounds; None if the stand has no
+            linear model.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("verified", "failures")
@@ -206,6 +211,7 @@ class Analysis(Result):
     check: CrossCheck
     verified: bool
     failures: tuple[Diagnostic, ...]
+    servos: ServoBounds | None = None
 
 
 @check_arguments
@@ -259,6 +265,9 @@ def analyze_variant(
     thigh, calf = measure_leg_lengths(robot)
     statics = stand_statics(robot, stand)
     verdict = judge_simulation(robot, rigid_stand, verification, sagging, statics=statics)
+    servos = None
+    with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
+        servos = bound_servo_gains(robot, stand, stands=sagging.stays)
     return Analysis(
         name=robot.name,
         nq=robot.nq,
@@ -283,6 +292,7 @@ def analyze_variant(
         check=check,
         verified=verdict.passed and not failures,
         failures=tuple(failures),
+        servos=servos,
     )
 
 

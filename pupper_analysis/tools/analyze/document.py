@@ -63,6 +63,11 @@ from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import find_hardest_motor, peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep
+from pupper_analysis.tools.stand.document import (
+    describe_servo_gains,
+    exceeds_explicit_damping,
+    split_servo_statement,
+)
 
 
 @build_document.register(Analysis)
@@ -76,6 +81,11 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     load, height, *others = _make_key_figures(analysis)
     failures = _list_failures(analysis)
     warnings = tuple(_select_warnings(analysis, first))
+    repeated: tuple[doc.Words, ...] = ()
+    gains: tuple[doc.Words, ...] = ()
+    if exceeds_explicit_damping(analysis.servos):  # `stand` states the gains, too
+        gains = tuple(describe_servo_gains(analysis.servos, analysis.verdict.servos))
+        warnings, repeated = split_servo_statement(warnings, analysis.verdict.servos)
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
         *_make_structure_blocks(analysis, robot),
@@ -103,11 +113,13 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         failures=failures[:_MAX_SHOWN_FAILURES],
         findings=(
             load,
+            *gains,
             height,
             *(() if failures else (*report_refused_file(analysis.verdict), *warnings)),
         ),
         details=(
             *others,
+            *repeated,
             *failures[_MAX_SHOWN_FAILURES:],
             *(warnings if failures else ()),
             *more,
@@ -148,9 +160,13 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
 
 
 def _select_next_step(analysis: Analysis) -> doc.NextStep:
-    """Return the command to suggest next, such as ``payload`` for a verified robot."""
+    """Return the command to suggest next, such as ``payload`` for a verified robot.
+
+    It is ``gains`` if kd exceeds the bound of an explicit PD controller, as after `stand`.
+    """
     if analysis.verified:
-        return doc.NextStep("payload")
+        over = exceeds_explicit_damping(analysis.servos)
+        return doc.NextStep("gains" if over else "payload")
     differs = not all(quantity.passed for quantity in analysis.check.quantities)
     return doc.NextStep("crosscheck" if differs else "stand")
 

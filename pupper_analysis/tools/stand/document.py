@@ -39,6 +39,7 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import judged_document, make_servo_clause
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
@@ -120,7 +121,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     stand = stance.stand
     positions = get_display_scales(stance.units) * stance.joint_positions
     soft = tuple(_describe_soft_servos(stance))
-    gains = tuple(_describe_servo_gains(stance))
+    gains = tuple(describe_servo_gains(stance.servos, stance.verdict.servos))
     # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
     # The cause of a failure of the unmodified file is part of the verdict.
@@ -170,12 +171,22 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 def _omit_repeated_servos(document: doc.Document, stance: Stance) -> doc.Document:
     """Move the statement on added servos to the details if the servo gains are stated as well."""
     servos = stance.verdict.servos
-    if not servos.made or not any(_describe_servo_gains(stance)):
+    if not any(describe_servo_gains(stance.servos, servos)):
         return document
-    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
-    moved = tuple(line for line in document.findings if get_english(line) == repeated)
-    kept = tuple(line for line in document.findings if get_english(line) != repeated)
+    kept, moved = split_servo_statement(document.findings, servos)
     return replace(document, findings=kept, details=(*document.details, *moved))
+
+
+def split_servo_statement(
+    lines: Iterable[doc.Words], servos: ServosUsed
+) -> tuple[tuple[doc.Words, ...], tuple[doc.Words, ...]]:
+    """Divide lines into those without and those with the statement on added servos."""
+    if not servos.made:
+        return tuple(lines), ()
+    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
+    listed = tuple(lines)
+    kept = tuple(line for line in listed if get_english(line) != repeated)
+    return kept, tuple(line for line in listed if get_english(line) == repeated)
 
 
 _NEXT_STEPS = {
@@ -220,7 +231,7 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = _stiffen_soft_servos(stance) or step
     elif _is_damping_excessive(stance):
         step = NextStep("gains")
-    if step.command == "payload" and _exceeds_explicit_damping(stance):
+    if step.command == "payload" and exceeds_explicit_damping(stance.servos):
         step = NextStep("gains")
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
@@ -229,12 +240,11 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 def _is_damping_excessive(stance: Stance) -> bool:
     """Return True if the stand fails with kd above the bound of an explicit PD controller."""
-    return stance.verdict.code is VerdictCode.FAILS and _exceeds_explicit_damping(stance)
+    return stance.verdict.code is VerdictCode.FAILS and exceeds_explicit_damping(stance.servos)
 
 
-def _exceeds_explicit_damping(stance: Stance) -> bool:
+def exceeds_explicit_damping(servos: ServoBounds | None) -> bool:
     """Return True if kd exceeds the bound of an explicit PD controller."""
-    servos = stance.servos
     return servos is not None and (servos.largest_kd_factor or math.inf) < 1
 
 
@@ -308,12 +318,15 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
         )
 
 
-def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
+def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
     """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
     If the gains of the joints differ, the bounds are factors on all gains.
+
+    Args:
+        servos: Gains with bounds; None if unknown.
+        used: Servos that the verdict depends on.
     """
-    servos = stance.servos
     if servos is None or not servos.classes:
         return
     one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
@@ -330,7 +343,7 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
         kd_unit=units.damping,
         least="" if least is None else f"{_round_bound(least * kp, kp):g}",
         most=f"{_round_bound(most * kd, kd):g}" if most is not None and bounded else "",
-        added=bool(stance.verdict.servos.made),
+        added=bool(used.made),
         implicit_over=over and implicit,
         within=bounded and not (over and implicit),
         step=format_number(1e3 * servos.timestep, ".3g"),
