@@ -99,6 +99,13 @@ KIND_ORDER = (
 """Kinds of differences between two models. The order is a sorting key for differences of equal
 urgency and effect (`Difference.rank`)."""
 
+UNWRITTEN_KINDS = (
+    *("type", "parent", "name", "base frame", "rotation", "axis", "frame", "zero"),
+    *("gravity", "velocity", "armature", "mimic", "collision"),
+)
+"""Kinds of differences that `sync` does not write: one format cannot state the value, or the change
+needs a decision."""
+
 CONVENTION_KINDS = ("base frame", "zero")
 """Kinds of differences that change only the coordinates (qpos), not the robot."""
 

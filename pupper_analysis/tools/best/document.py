@@ -10,10 +10,10 @@ import math
 from dataclasses import replace
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text
+from pupper_analysis.present.document import get_english, text
 from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, make_document
-from pupper_analysis.present.documents.standing import quantity_columns
+from pupper_analysis.present.documents.standing import quantity_columns, task_text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.best.best import BestStance, BestStudy
@@ -34,14 +34,18 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
     # The largest motor load is a detail: line 1 states it if it is the objective.
     load, *others = stand_document.findings
-    coordinates, *more = stand_document.details
+    heights = [
+        line for line in others if isinstance(line, doc.Text) and line.short.startswith("height ")
+    ]
+    others = [line for line in others if line not in heights]
+    line = heights[0] if heights else task_text(study.best.stand.task)
+    coordinates = replace(line, short=_shorten_coordinates(study.best))
+    more = [line for line in stand_document.details if get_english(line) != coordinates.en]
     step = _make_next_step(study, stand_document.next_step)
-    messages: tuple[doc.Words, ...] = (_make_search_line(study), *others)
+    messages: tuple[doc.Words, ...] = (_make_search_line(study), coordinates, *others)
+    if not study.passed:  # the reason of the failure is line 2
+        messages = (_make_search_line(study), *others, coordinates)
     details: tuple[doc.Words, ...] = (load, *more)
-    if step.command == "path":  # its options state the coordinates
-        details = (coordinates, *details)
-    else:
-        messages = (*messages, coordinates)
     failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
         loaded = make_document(study.best.payload)
@@ -117,11 +121,36 @@ def _make_search_line(study: BestStudy) -> doc.Text:
     )
 
 
+def _shorten_coordinates(best: BestStance) -> str:
+    """Return the coordinates of the best stance in short: mm and degrees.
+
+    For example, ``found: height 180.6 mm, feet moved by up to 18 mm, x +13 mm, pitch +1 deg``.
+    Coordinates that round to zero are omitted.
+    """
+    feet: dict[str, list[float]] = {}
+    for name, value in best.coordinates.items():
+        foot = name.rpartition(" ")[0]
+        if foot:
+            feet.setdefault(foot, []).append(value)
+    largest = 1e3 * max((math.hypot(*moved) for moved in feet.values()), default=0.0)
+    parts = [f"height {1e3 * best.stand.task.height:.1f} mm"] if best.stand.task.height else []
+    parts += [f"feet moved by up to {largest:.0f} mm"] if round(largest) else []
+    for names, scale, unit in (("x", "y"), 1e3, "mm"), (_ANGLES, math.degrees(1.0), "deg"):
+        shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
+        moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
+        parts += [f"{', '.join(moved)} {unit}"] if moved else []
+    return f"found: {', '.join(parts)}"
+
+
+_ANGLES = ("roll", "pitch", "yaw")
+"""Names of the coordinates that are angles [rad]; the report prints degrees."""
+
+
 def _make_coordinate_table(best: BestStance) -> doc.Table:
     """Create the table of the searched coordinates of the best stance [mm or deg]."""
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
-        angle = name in ("roll", "pitch", "yaw")
+        angle = name in _ANGLES
         cell = doc.number_cell(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
         rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
     return doc.Table(

@@ -33,6 +33,7 @@ from pupper_analysis.present.formats import Annotation
 from pupper_analysis.present.plots import draw_result, make_axes, make_figure_title
 from pupper_analysis.robot.compare.differences import (
     MIN_FACTOR,
+    UNWRITTEN_KINDS,
     Difference,
     Effect,
     describe_kind,
@@ -237,10 +238,14 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _select_next_step(comparison: Comparison) -> doc.NextStep:
-    """Return the command to suggest next: `audit` of an MJCF that MuJoCo refuses, for example."""
+    """Return the command to suggest next: `audit` of an MJCF that MuJoCo refuses, for example.
+
+    `sync` is not suggested if it writes none of the differences.
+    """
     if has_inverted_urdf_range(comparison.differences):
         return doc.NextStep("audit", (comparison.urdf, "--fix"), robot_typed=False)
-    if not comparison.agree:
+    writable = [one for one in comparison.differences if one.kind not in UNWRITTEN_KINDS]
+    if not comparison.agree and (writable or not comparison.differences):
         return doc.NextStep("sync")
     if comparison.refusal is not None:
         return doc.NextStep("audit", (comparison.mjcf,), robot_typed=False)

@@ -12,10 +12,14 @@ from pathlib import Path
 
 from pupper_analysis.models.efforts import is_placeholder_number
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.robot.compare.differences import Difference, has_inverted_urdf_range
+from pupper_analysis.robot.compare.differences import (
+    UNWRITTEN_KINDS,
+    Difference,
+    has_inverted_urdf_range,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.sync.models import Sync, format_difference_label
 from pupper_analysis.tools.sync.plan import UnwrittenCause
@@ -88,6 +92,8 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
     yield text("differences-listed-count", count=len(sync.differences))
     if sync.left_by_side:
         side = _find_better_side(sync)
+        unwritten = [one for one in sync.differences if one.kind in UNWRITTEN_KINDS]
+        kinds = dict.fromkeys(one.kind for one in unwritten)
         other = "urdf" if side == "mjcf" else "mjcf"
         yield text(
             "differences-left-by-side",
@@ -95,6 +101,7 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
             left=sync.left_by_side[side],
             other=other,
             more=sync.left_by_side[other],
+            kinds=join_words(map(word, kinds)) if kinds else "",
         )
     first = doc.diagnostic_text(sync.differences[0].diagnostic)
     yield text("difference-first", difference=first)

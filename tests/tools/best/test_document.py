@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from pupper_analysis.present.document import Document, NextStep, Table, Text, get_english
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
-from pupper_analysis.tools.best.document import _make_next_step, _make_search_line, best_document
+from pupper_analysis.tools.best.document import (
+    _make_next_step,
+    _make_search_line,
+    _shorten_coordinates,
+    best_document,
+)
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support.stubs import best, make_payload_result, stance
@@ -74,3 +82,13 @@ def test_best_payload_states_that_it_needs_gravity_compensation(compensated: boo
     condition = " gravity-compensated" if compensated else ""
     assert line.short == f"payload 20.55 kg{condition}; 6.67 kg in the stance as given"
     assert ("with gravity compensation" in line.en) is compensated
+
+
+def test_second_line_states_the_stance_found() -> None:
+    """Reference: the coordinates of the search; the base moves by 13 mm, a foot by hypot(3, 4)."""
+    stand = SimpleNamespace(task=SimpleNamespace(height=0.1806))
+    coordinates = {"height": 0.1806, "x": 0.0131, "pitch": np.radians(0.8), "FR x": 3e-3}
+    best = SimpleNamespace(stand=stand, coordinates=coordinates | {"FR y": -4e-3, "yaw": 1e-9})
+    assert _shorten_coordinates(best) == (
+        "found: height 180.6 mm, feet moved by up to 5 mm, x +13 mm, pitch +1 deg"
+    )

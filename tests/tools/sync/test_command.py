@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.compare.differences import UNWRITTEN_KINDS
+from pupper_analysis.tools.sync.plan import _UNWRITTEN_REASONS
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import change_part, quadruped, write_parts
@@ -219,3 +221,8 @@ def test_next_command_repairs_the_urdf_if_its_limits_are_exchanged(tmp_path: Pat
     agreed = run(tmp_path)
     assert agreed.returncode == 0
     assert agreed.stdout.splitlines()[2] == "  next: pupper-analysis stand robot.urdf robot.xml"
+
+
+def test_crosscheck_and_sync_agree_on_the_kinds_that_are_not_written() -> None:
+    """Otherwise crosscheck proposes sync for differences that sync does not write."""
+    assert set(UNWRITTEN_KINDS) == set(_UNWRITTEN_REASONS)
