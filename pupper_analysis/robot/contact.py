@@ -47,11 +47,12 @@ class ContactParameters:
     def sliding_friction(self) -> float:
         """Friction coefficient of sliding [1]; 0 for a frictionless contact.
 
-        A contact is frictionless if ``condim`` is 1, or if the coefficient is at most ``mjMINMU``
-        (1e-5). MuJoCo raises all smaller coefficients, zero too, to this value.
+        A contact is frictionless if ``condim`` is 1, or if the coefficient is from 0 to ``mjMINMU``
+        (1e-5). MuJoCo raises smaller coefficients to this value. A negative coefficient, which is
+        an error of the file, is returned unchanged.
         """
         slide = self.friction[0]
-        return slide if self.condim > 1 and slide > mujoco.mjMINMU else 0.0
+        return 0.0 if self.condim == 1 or 0 <= slide <= mujoco.mjMINMU else slide
 
     @property
     def rolling_friction(self) -> float:

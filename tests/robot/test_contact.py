@@ -1,5 +1,7 @@
 """Contact parameters combined from two geoms, compared with MuJoCo's own contacts."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -95,7 +97,10 @@ def test_friction_up_to_the_minimum_of_mujoco_is_no_friction(friction: float) ->
     assert force[0] > 0
     assert np.hypot(*force[1:3]) == pytest.approx(mujoco.mjMINMU * force[0], rel=1e-6)
     values["friction"] = (2e-5, 0.0, 0.0)
-    assert contact.combine_geoms(ball_on_plane(values, values), 0, 1).sliding_friction == 2e-5
+    rough = contact.combine_geoms(ball_on_plane(values, values), 0, 1)
+    assert rough.sliding_friction == 2e-5
+    negative = replace(rough, friction=(-1.0, -1.0, 0.0, 0.0, 0.0))
+    assert negative.sliding_friction == -1.0
 
 
 def test_foot_contacts_of_a_robot_equal_mujoco(robot: pa.Robot, stand: pa.Stand) -> None:
