@@ -38,6 +38,11 @@ from pupper_analysis.present.documents.loads import (
     view_block,
 )
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.servos import (
+    describe_servo_gains,
+    exceeds_explicit_damping,
+    split_servo_statement,
+)
 from pupper_analysis.present.documents.sources import (
     cite_page,
     files_text,
@@ -63,11 +68,6 @@ from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import find_hardest_motor, peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep
-from pupper_analysis.tools.stand.document import (
-    describe_servo_gains,
-    exceeds_explicit_damping,
-    split_servo_statement,
-)
 
 
 @build_document.register(Analysis)

@@ -20,7 +20,7 @@ from pupper_analysis.base.units import (
 from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import NextStep, get_english, join_words, text, word
+from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import (
     format_share,
     get_display_scales,
@@ -28,6 +28,12 @@ from pupper_analysis.present.documents.loads import (
     view_block,
 )
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.servos import (
+    describe_servo_gains,
+    exceeds_explicit_damping,
+    round_bound,
+    split_servo_statement,
+)
 from pupper_analysis.present.documents.standing import (
     ground_text,
     ground_word,
@@ -38,8 +44,7 @@ from pupper_analysis.present.documents.standing import (
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document, make_servo_clause
-from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
@@ -177,18 +182,6 @@ def _omit_repeated_servos(document: doc.Document, stance: Stance) -> doc.Documen
     return replace(document, findings=kept, details=(*document.details, *moved))
 
 
-def split_servo_statement(
-    lines: Iterable[doc.Words], servos: ServosUsed
-) -> tuple[tuple[doc.Words, ...], tuple[doc.Words, ...]]:
-    """Divide lines into those without and those with the statement on added servos."""
-    if not servos.made:
-        return tuple(lines), ()
-    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
-    listed = tuple(lines)
-    kept = tuple(line for line in listed if get_english(line) != repeated)
-    return kept, tuple(line for line in listed if get_english(line) == repeated)
-
-
 _NEXT_STEPS = {
     VerdictCode.HOLDS_WITH_FEEDFORWARD: NextStep("stand", ("--minimum-stiffness",)),
     VerdictCode.IN_BALANCE: NextStep("best", ("margin",)),
@@ -241,11 +234,6 @@ def _select_next_step(stance: Stance) -> NextStep:
 def _is_damping_excessive(stance: Stance) -> bool:
     """Return True if the stand fails with kd above the bound of an explicit PD controller."""
     return stance.verdict.code is VerdictCode.FAILS and exceeds_explicit_damping(stance.servos)
-
-
-def exceeds_explicit_damping(servos: ServoBounds | None) -> bool:
-    """Return True if kd exceeds the bound of an explicit PD controller."""
-    return servos is not None and (servos.largest_kd_factor or math.inf) < 1
 
 
 def _has_soft_drives(stance: Stance) -> bool:
@@ -318,58 +306,6 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
         )
 
 
-def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
-    """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
-
-    If the gains of the joints differ, the bounds are factors on all gains.
-
-    Args:
-        servos: Gains with bounds; None if unknown.
-        used: Servos that the verdict depends on.
-    """
-    if servos is None or not servos.classes:
-        return
-    one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
-    least, most, scales = servos.least_kp_factor, servos.largest_kd_factor, servos.uniform
-    kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
-    units = servos.units
-    bounded = most is not None and math.isfinite(most)
-    over = most is not None and most < 1
-    yield text(
-        "servo-gains" if scales else "servo-factors",
-        kp=format_number(one.kp, ".3g"),
-        kp_unit=units.stiffness,
-        kd=format_number(one.kd, ".3g"),
-        kd_unit=units.damping,
-        least="" if least is None else f"{_round_bound(least * kp, kp):g}",
-        most=f"{_round_bound(most * kd, kd):g}" if most is not None and bounded else "",
-        added=bool(used.made),
-        implicit_over=over and implicit,
-        within=bounded and not (over and implicit),
-        step=format_number(1e3 * servos.timestep, ".3g"),
-        rate=f"{1 / servos.timestep:.4g}",
-        implicit=servos.integrator if implicit else "",
-    )
-
-
-def _round_bound(bound: float, gain: float) -> float:
-    """Round a bound of a servo gain to two significant digits, or more if the gain is near.
-
-    The rounded bound is above, equal to or below the gain as displayed (three digits), as the exact
-    bound and gain are. ``bound`` and ``gain`` may also be factors on gains.
-    """
-    displayed = float(f"{gain:.3g}")
-    for digits in range(2, _MAX_BOUND_DIGITS):
-        rounded = float(f"{bound:.{digits}g}")
-        if np.sign(rounded - displayed) == np.sign(bound - gain):
-            return rounded
-    return float(f"{bound:.{_MAX_BOUND_DIGITS}g}")
-
-
-_MAX_BOUND_DIGITS = 6
-"""Largest number of digits of a displayed bound of a servo gain. Chosen, not tuned."""
-
-
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
     """Yield the servos that alone make the stand fail, and the smallest sufficient stiffness."""
     servos, soft = stance.servos, stance.soft_servos
@@ -398,7 +334,7 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
 
 def _make_bound_cell(bound: float | None, gain: float) -> doc.Number:
     """Create the table cell of a bound of a servo gain; an empty cell without a bound."""
-    return doc.number_cell(None if bound is None else _round_bound(bound, gain), "g")
+    return doc.number_cell(None if bound is None else round_bound(bound, gain), "g")
 
 
 def _make_servo_table(servos: ServoBounds) -> doc.Table:

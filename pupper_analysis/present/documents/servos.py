@@ -1,0 +1,87 @@
+"""Texts on servo gains with their bounds, in the documents of stances and analyses.
+
+Inputs are the bounds of the gains, and the servos on which a verdict depends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import get_english, text
+from pupper_analysis.present.verdict import make_servo_clause
+from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.simulation.servo_bounds import ServoBounds
+
+
+def split_servo_statement(
+    lines: Iterable[doc.Words], servos: ServosUsed
+) -> tuple[tuple[doc.Words, ...], tuple[doc.Words, ...]]:
+    """Divide lines into those without and those with the statement on added servos."""
+    if not servos.made:
+        return tuple(lines), ()
+    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
+    listed = tuple(lines)
+    kept = tuple(line for line in listed if get_english(line) != repeated)
+    return kept, tuple(line for line in listed if get_english(line) == repeated)
+
+
+def exceeds_explicit_damping(servos: ServoBounds | None) -> bool:
+    """Return True if kd exceeds the bound of an explicit PD controller."""
+    return servos is not None and (servos.largest_kd_factor or math.inf) < 1
+
+
+def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
+    """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
+
+    If the gains of the joints differ, the bounds are factors on all gains.
+
+    Args:
+        servos: Gains with bounds; None if unknown.
+        used: Servos that the verdict depends on.
+    """
+    if servos is None or not servos.classes:
+        return
+    one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
+    least, most, scales = servos.least_kp_factor, servos.largest_kd_factor, servos.uniform
+    kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
+    units = servos.units
+    bounded = most is not None and math.isfinite(most)
+    over = most is not None and most < 1
+    yield text(
+        "servo-gains" if scales else "servo-factors",
+        kp=format_number(one.kp, ".3g"),
+        kp_unit=units.stiffness,
+        kd=format_number(one.kd, ".3g"),
+        kd_unit=units.damping,
+        least="" if least is None else f"{round_bound(least * kp, kp):g}",
+        most=f"{round_bound(most * kd, kd):g}" if most is not None and bounded else "",
+        added=bool(used.made),
+        implicit_over=over and implicit,
+        within=bounded and not (over and implicit),
+        step=format_number(1e3 * servos.timestep, ".3g"),
+        rate=f"{1 / servos.timestep:.4g}",
+        implicit=servos.integrator if implicit else "",
+    )
+
+
+def round_bound(bound: float, gain: float) -> float:
+    """Round a bound of a servo gain to two significant digits, or more if the gain is near.
+
+    The rounded bound is above, equal to or below the gain as displayed (three digits), as the exact
+    bound and gain are. ``bound`` and ``gain`` may also be factors on gains.
+    """
+    displayed = float(f"{gain:.3g}")
+    for digits in range(2, _MAX_BOUND_DIGITS):
+        rounded = float(f"{bound:.{digits}g}")
+        if np.sign(rounded - displayed) == np.sign(bound - gain):
+            return rounded
+    return float(f"{bound:.{_MAX_BOUND_DIGITS}g}")
+
+
+_MAX_BOUND_DIGITS = 6
+"""Largest number of digits of a displayed bound of a servo gain. Chosen, not tuned."""
