@@ -486,14 +486,18 @@ def _read_measurements(
     for path in logs:
         if not path_exists(path):
             alike = [str(file) for file in find_similar_files(path)]
-            raise InputError(path, diagnose("log-file-missing", alike=alike))
+            error = InputError(path, diagnose("log-file-missing", alike=alike))
+            words = ("--log", alike[0]) if alike else ("--help",)
+            omitted = ("--log",) if alike else (*_MEASURING_OPTIONS, "--log", "--kp", "--kd")
+            error.add_note(complete_command(NextStep("fit", words, omitted=omitted)))
+            raise error
         if "stand" in _read_column_names(path):
-            error = MeasurementError(path, diagnose("log-has-stands"))
+            swapped = MeasurementError(path, diagnose("log-has-stands"))
             omitted = (*_MEASURING_OPTIONS, "--log", "--kd", "--hold-out")
-            error.add_note(
+            swapped.add_note(
                 complete_command(NextStep("fit", ("--stands", str(path)), omitted=omitted))
             )
-            raise error
+            raise swapped
     measured = list(map(read_log, logs)) if stands is None else read_stands(stands)
     if stands is not None and isinstance(measured, MeasuredStands):
         _check_measured(stands, measured)

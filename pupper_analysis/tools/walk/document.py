@@ -95,7 +95,8 @@ def _describe_missing_steps(walk: Walk) -> Iterable[doc.Words]:
     """Yield a text if no run tracks the command and all feet are on the ground in all samples."""
     gaits = walk.gaits
     if not any(gait.tracks or min(gait.duty.values(), default=0.0) < 1 for gait in gaits):
-        yield text("walk-without-steps")
+        still = all(gait.largest_action == 0 for gait in gaits)
+        yield text("walk-without-steps", still=still, count=len(walk.joints))
 
 
 def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:

@@ -138,6 +138,7 @@ class Gait(Result):
         torques: Recorded motor torques, shape (k, nu).
         energy: Electrical energy of the motors after the warm-up; None without motors, or for
             example if the run has a single state.
+        largest_action: Largest magnitude of all actions of the policy; NaN if unknown.
     """
 
     command: Array = field(metadata={"unit": "m/s or rad/s"})
@@ -167,6 +168,7 @@ class Gait(Result):
     torque_time: Array = field(metadata={"unit": "s"})
     torques: Array = field(metadata={"unit": EFFORT_UNIT})
     energy: MotorEnergy | None = None
+    largest_action: float = field(default=math.nan, metadata={"unit": "1"})
 
 
 @dataclass(frozen=True)
@@ -540,6 +542,7 @@ def measure_gait(
         speed_peak=np.abs(known_rates).max(axis=0),
         power=power,
         energy=_compute_run_energy(stage, torques, run.states[first:], motors or {}),
+        largest_action=run.largest_action,
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,

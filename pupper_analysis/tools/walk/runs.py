@@ -96,6 +96,7 @@ class PolicyRun:
             warm-up [rad].
         lost: Largest height loss of the reference point at the same times, at least 0 [m]. The
             point is fixed to the base, at the CoM of the default pose (`StandReference`).
+        largest_action: Largest magnitude of all actions of the policy.
     """
 
     case: Case
@@ -104,6 +105,7 @@ class PolicyRun:
     fallen: bool
     lean: float
     lost: float
+    largest_action: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,7 +417,7 @@ def _simulate_batch(
     recorded_states = np.empty((count, ticks * steps, lockstep.current.shape[1]))
     recorded_controls = np.empty((count, ticks * steps, stage.model.nu))
     num_steps, fallen = np.full(count, ticks * steps), np.zeros(count, dtype=bool)
-    worst = np.zeros((count, 2))
+    worst, largest_actions = np.zeros((count, 2)), np.zeros(count)
     lifts = np.array([case.lift for case in cases])
     uprights = [raise_upright(stage.upright, case.lift) for case in cases]
     pushes = make_push_forces(stage, [case.push for case in cases])
@@ -423,6 +425,8 @@ def _simulate_batch(
     for tick in range(ticks):
         active, first, last = lockstep.active, tick * steps, (tick + 1) * steps
         states, control, broken = lockstep.advance(pushes[active] if tick == push_tick else None)
+        magnitudes = np.abs(lockstep.last_actions).max(axis=1, initial=0.0)
+        largest_actions[active] = np.maximum(largest_actions[active], magnitudes)
         recorded_states[active, first:last], recorded_controls[active, first:last] = states, control
         lean, lost = measure_lean_and_loss(stage, lockstep.current)
         lost += lifts[active]
@@ -449,6 +453,7 @@ def _simulate_batch(
             fallen=bool(fallen[index]),
             lean=float(worst[index, 0]),
             lost=float(worst[index, 1]),
+            largest_action=float(largest_actions[index]),
         )
         for index, case in enumerate(cases)
     ]

@@ -49,7 +49,8 @@ def test_walk_that_does_not_follow_its_command_gives_exit_status_1(
     assert len(out.splitlines()[1]) <= 100
     assert "…" not in out.splitlines()[1]  # the cause was cut
     assert out.startswith("DOES NOT TRACK v3 by still.json")
-    assert out.splitlines()[1].startswith("  no foot leaves the ground: ")
+    cause = "all 12 actions are 0 throughout: check the network"
+    assert out.splitlines()[1].startswith(f"  no foot leaves the ground: {cause}")
 
 
 def test_policy_on_a_fixed_base_is_refused_before_its_observations(

@@ -19,7 +19,7 @@ from tests.support.printing import printed
 
 def test_motor_table_contains_the_largest_value_of_all_runs_per_motor() -> None:
     runs = [SimpleNamespace(torque_peak=np.array(peak)) for peak in ([1.0, 5.0], [3.0, 2.0])]
-    walk: Any = SimpleNamespace(gaits=runs)
+    walk: Any = SimpleNamespace(gaits=runs, joints=("hip",))
     np.testing.assert_array_equal(_max_over_runs(walk, "torque_peak"), [3.0, 5.0])
 
 
@@ -152,6 +152,6 @@ def test_range_of_values_with_equal_digits_is_a_single_number() -> None:
 def test_missing_steps_are_reported_if_no_foot_leaves_the_ground_in_any_run(
     tracks: bool, duty: tuple[dict[str, float], ...], count: int
 ) -> None:
-    runs = [SimpleNamespace(tracks=tracks, duty=share) for share in duty]
-    walk: Any = SimpleNamespace(gaits=runs)
+    runs = [SimpleNamespace(tracks=tracks, duty=share, largest_action=0.5) for share in duty]
+    walk: Any = SimpleNamespace(gaits=runs, joints=("hip",))
     assert len(list(document._describe_missing_steps(walk))) == count
