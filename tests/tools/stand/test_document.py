@@ -9,11 +9,12 @@ import pytest
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.present.documents.loads import format_share
+from pupper_analysis.present.documents.servos import round_bound
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.simulation.servo_bounds import SoftServos
 from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
-from pupper_analysis.tools.stand.document import _round_bound, stance_document
+from pupper_analysis.tools.stand.document import stance_document
 from tests.present.test_printed import print_words
 from tests.support.stubs import SERVO_BOUNDS, SERVOS, run, stance
 
@@ -60,7 +61,7 @@ def test_rounded_bound_stays_on_its_side_of_the_gain(
     bound: float, gain: float, displayed: float
 ) -> None:
     """Solo12: the line stated kd 1.7 and a bound of 1.7 that kd exceeds."""
-    assert _round_bound(bound, gain) == displayed
+    assert round_bound(bound, gain) == displayed
     assert (displayed > gain) - (displayed < gain) == (bound > gain) - (bound < gain)
 
 
