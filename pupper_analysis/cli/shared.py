@@ -179,6 +179,11 @@ _UNWELDABLE_CODES = ("base-without-mass", "no-base-to-weld")
 `hold`, which needs no weld.
 """
 
+_WELDED_BASE_CODES = ("robot-is-welded", "payload-on-fixed-base")
+"""Codes of errors about a weld that a command does not support. If the weld is that of the base,
+`Command.invoke` adds the command line of `hold`, which computes torques and payloads of such a
+robot."""
+
 
 class Command(click.Command):
     """Command-line command that checks, before computing, that all results can be written.
@@ -369,7 +374,9 @@ class Command(click.Command):
                 from pupper_analysis.cli.next_step import complete_fixed_base_command
 
                 error.add_note(complete_fixed_base_command(str(self.name)))
-            if isinstance(problem, Diagnostic) and problem.code in _UNWELDABLE_CODES:
+            code = problem.code if isinstance(problem, Diagnostic) else ""
+            welds = "base=weld" in (context.params.get("contacts") or ())
+            if code in _UNWELDABLE_CODES or (code in _WELDED_BASE_CODES and welds):
                 from pupper_analysis.cli.next_step import complete_command
                 from pupper_analysis.present.document import NextStep
 
