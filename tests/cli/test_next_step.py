@@ -182,6 +182,8 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
         ("live --drop --headless", "live {path} --headless --mujoco"),
         ("walk policy.pt", "hold {path}"),
         ("fit --stands none.csv --weight 1kg", "fit {path} --log motion.csv"),
+        ("push --contact base=weld", "hold {path}"),
+        ("payload --contact base=weld", "hold {path}"),
     ],
 )  # fmt: skip
 def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(

@@ -134,9 +134,7 @@ def _format_added_gains(conversion: Conversion) -> dict[str, str]:
         if isinstance(span, Diagnostic):
             low, high = span.values["least"], span.values["most"]
             wide = (
-                f" to {high.value:.4g}"
-                if span.values["wide"] and isinstance(high, Quantity)
-                else ""
+                f"..{high.value:.4g}" if span.values["wide"] and isinstance(high, Quantity) else ""
             )
             gains |= {gain: str(span), f"{gain}_number": f"{low:.4g}{wide}"}
     return gains

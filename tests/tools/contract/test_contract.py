@@ -246,7 +246,7 @@ def test_asymmetric_model_without_shared_numbers_is_not_a_disagreement(tmp_path:
     assert get_english(shown.verdict) == "NOT COMPARED"
     assert get_english(shown.title) == "two.xml and config.yaml"
     first, second, *_ = [getattr(part, "short", "") or part.en for part in shown.findings]
-    assert first == "no number in both; 1 left-right difference"
+    assert first == "no number in both; 1 mirror warning"
     assert second == "only the .yaml states kp, kd"
     alone = contract_document(read_contract(model, stand=False))
     assert get_english(alone.verdict) == "ASYMMETRIC"
