@@ -374,9 +374,9 @@ class Command(click.Command):
                 from pupper_analysis.cli.next_step import complete_fixed_base_command
 
                 error.add_note(complete_fixed_base_command(str(self.name)))
-            code = problem.code if isinstance(problem, Diagnostic) else ""
+            refused = problem.code if isinstance(problem, Diagnostic) else ""
             welds = "base=weld" in (context.params.get("contacts") or ())
-            if code in _UNWELDABLE_CODES or (code in _WELDED_BASE_CODES and welds):
+            if refused in _UNWELDABLE_CODES or (refused in _WELDED_BASE_CODES and welds):
                 from pupper_analysis.cli.next_step import complete_command
                 from pupper_analysis.present.document import NextStep
 
