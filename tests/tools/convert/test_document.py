@@ -90,7 +90,7 @@ def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> 
         ),
     )
     assert get_short_findings(converted)[1:] == [
-        "STANDS 12 s at 280.0 mm, servos added (kp 320, kd 8 to 16)",
+        "STANDS 12 s at 280.0 mm, servos added (kp 320, kd 8..16)",
         "velocity limits of 12 joints not converted",
     ]
     complete = [get_english(part) for part in _describe_checks(converted)]
