@@ -38,18 +38,30 @@ def test_walk_with_a_standing_policy_passes(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("zero", "cause"),
+    [
+        (False, "the actions of the policy do not make the robot step"),
+        (True, "all 12 actions are 0 throughout: check the network"),
+    ],
+    ids=["small actions", "no action"],
+)
 def test_walk_that_does_not_follow_its_command_gives_exit_status_1(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, *, zero: bool, cause: str
 ) -> None:
-    """A policy that stands still is commanded to walk at 0.5 m/s."""
+    """Commanded to walk at 0.5 m/s, one policy only counters tilt, and one does nothing."""
     policy = made.write_standing_policy(tmp_path / "still.json")
+    if zero:
+        network = json.loads(policy.read_text())
+        weights, biases = network["layers"][0]["weights"]
+        network["layers"][0]["weights"] = [[[0.0] * len(row) for row in weights], biases]
+        policy.write_text(json.dumps(network))
     words = ("walk", "v3", "--policy", str(policy), "--command", "0.5,0,0", "--seconds", "3")
     status, out, err = run_command(capfd, *words)
     assert status == 1, err
     assert len(out.splitlines()[1]) <= 100
     assert "…" not in out.splitlines()[1]  # the cause was cut
     assert out.startswith("DOES NOT TRACK v3 by still.json")
-    cause = "all 12 actions are 0 throughout: check the network"
     assert out.splitlines()[1].startswith(f"  no foot leaves the ground: {cause}")
 
 
