@@ -112,7 +112,7 @@ class StudyOutcome(Result):
         rests_on: Assumptions on which the stands depend: simulation of the published file, added
             servos.
         variables: {variable: values or distribution, as in the study file}.
-        table: A row per stored design of the study.
+        table: A row per stored design of the study; truth values are 1 and 0.
         units: {variable or metric: unit in ``table``}; empty for ratios and factors.
         designs: Number of designs of the study.
         measured: Summary of each metric.

@@ -280,7 +280,9 @@ def test_lightest_motor_that_meets_the_requirements_is_the_best(
     assert "2 of 3 designs meet all requirements" in document.findings[0].en
     assert "∞" in printed(document)
     assert "best: design 2, motor lk-tech-mg4005-10" in document.findings[0].en
-    pd.testing.assert_frame_equal(read_study(folder), outcome.table)
+    pd.testing.assert_frame_equal(read_study(folder), study.table(folder))
+    pd.testing.assert_frame_equal(outcome.table, study.stored_table(folder))
+    assert outcome.table["stands"].tolist() == study.table(folder)["stands"].tolist()
 
 
 @pytest.mark.slow
