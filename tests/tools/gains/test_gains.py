@@ -37,6 +37,7 @@ from pupper_analysis.tools.gains.gains import (
     name_joints,
     study_gains,
 )
+from tests.base.test_results import assert_numbers_have_units
 from tests.prepare.test_self_check import write_slip
 from tests.support.every_command import Truth, simulate_truth
 from tests.support.legged import quadruped_with_slides
@@ -482,3 +483,13 @@ def test_gains_of_a_robot_with_an_assumed_mass_do_not_pass(tmp_path: Path) -> No
     assert gains.stands_stably
     assert not gains.passed
     assert printed(gains).startswith("UNKNOWN")
+
+
+@pytest.mark.slow
+def test_dataframe_contains_the_curve_and_the_table_counts_missing_values() -> None:
+    """Reference: the factors of the result."""
+    gains = study_gains(load("v3"), stand_of("v3"))
+    assert_numbers_have_units(gains)
+    np.testing.assert_array_equal(gains.to_dataframe()["largest_kd_factor"], gains.curve_dampings)
+    missing = int(np.isnan(gains.curve_dampings).sum())
+    assert f"{missing} nan" in gains._repr_html_() or not missing

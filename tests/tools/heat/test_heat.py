@@ -24,6 +24,7 @@ from pupper_analysis.present.document import BarPlot, LinePlot, Table, get_engli
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document, heat_plots
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, _refine_times, study_heat
+from tests.base.test_results import assert_numbers_have_units
 from tests.support import arm
 from tests.support.commands import answer, run_command
 from tests.support.legged import quadruped_with_slides
@@ -569,3 +570,16 @@ def test_motor_by_name_equals_the_motor() -> None:
     assert named.motors == given.motors
     with pytest.raises(pa.UnknownNameError, match="dephy-actpack"):
         study_heat(robot, stand_of("v3"), {joint: "dephy-actpak"})
+
+
+@pytest.mark.slow
+def test_dataframe_contains_the_temperatures_with_their_unit() -> None:
+    """Reference: the temperatures [degC] of the result."""
+    robot = load("v3")
+    motors = dict.fromkeys(robot.joint_names, find_motor("dephy-actpack"))
+    heat = study_heat(robot, stand_of("v3"), motors)
+    assert_numbers_have_units(heat)
+    knee = robot.joint_names[2]
+    frame = heat.to_dataframe()
+    np.testing.assert_array_equal(frame[f"temperature {knee}"], heat.temperatures[:, 2])
+    assert frame.attrs["units"][f"temperature {knee}"] == "degC"
