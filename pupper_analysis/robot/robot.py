@@ -796,6 +796,8 @@ class Robot(EngineModels):
         Raises:
             ModelError: If the total mass is zero, negative or not a number.
         """
+        if self.total_mass < 0:
+            self.check_bodies()  # names the body with a negative mass
         if not self.total_mass > 0:
             mass = Quantity(self.total_mass, "kg")
             raise ModelError(urdf, diagnose("robot-without-mass", mass=mass))
