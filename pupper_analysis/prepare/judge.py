@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.models.mjcf import compile_spec, lower_boundmass
 from pupper_analysis.prepare.causes import TIE_CODES
@@ -30,6 +31,7 @@ from pupper_analysis.prepare.limits import (
 from pupper_analysis.prepare.notes import report_joints_without_actuator, report_tendon_joints
 from pupper_analysis.prepare.own_run import (
     describe_import_failure,
+    find_posture_keyframe,
     get_loaded_robot,
     simulate_fixed_base,
 )
@@ -42,12 +44,14 @@ from pupper_analysis.prepare.self_check import (
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.as_published import (
     MIN_POSTURE_DEVIATION,
+    MIN_UNHELD_DISPLACEMENT,
     OwnCommands,
     OwnRun,
     ServoSource,
 )
 from pupper_analysis.robot.build import compile_with_visuals, report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
@@ -109,14 +113,17 @@ def judge_simulation(
     """
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), get_loaded_robot(robot)
+    joints = stand.qpos[-robot.nu :]
     keyframe_run = explain_own_run(robot)
     if not (loaded.floating or stand.stance_feet):
-        keyframe_run = simulate_fixed_base(loaded, stand.qpos[-robot.nu :])
+        keyframe_run = simulate_fixed_base(loaded, joints)
     if statics is not None and fed.passed:
         fragile = alone is not None and not alone.passed
         fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd, fragile=fragile)
     if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
         fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
+    if not loaded.floating and (moved := describe_violated_keyframe(loaded, joints)) is not None:
+        fed = replace(fed, passed=False, failures=(moved, *fed.failures))
     published = compare_as_published(robot, stand, servos, kp, kd)
     fed, alone, null = _apply_zero_torque_limits(robot, fed, alone, statics)
     unknown, masses = None, describe_missing_masses(loaded)
@@ -244,6 +251,37 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     if any(robot.contacts[foot].sliding_friction > 0 for foot in feet):
         return None
     return diagnose("feet-without-friction", feet=feet)
+
+
+def describe_violated_keyframe(robot: Robot, joints: Array) -> Diagnostic | None:
+    """Create the message that constraints move driven joints of a keyframe to another posture.
+
+    The servos of the unmodified file then press against the constraints, with torques that the
+    statics of the posture do not contain.
+
+    Args:
+        robot: Prepared robot with a fixed base, as loaded.
+        joints: Joint positions of the judged posture, shape (nu,) [rad, m].
+
+    Returns:
+        The message; None if the posture was not computed from a keyframe, or if no displacement
+        exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
+    """
+    found = None if robot.closure is None else find_posture_keyframe(robot, joints)
+    if found is None or robot.closure is None:
+        return None
+    moved = np.where(robot.mj_convention.actuator_index >= 0, np.abs(found.moved), 0.0)
+    worst = int(np.argmax(moved))
+    if not moved[worst] > MIN_UNHELD_DISPLACEMENT:
+        return None
+    name = robot.joint_names[worst]
+    return diagnose(
+        "keyframe-violates-constraints",
+        keyframe=found.name,
+        joint=name,
+        moved=Quantity(float(moved[worst]), joint_unit(robot, name)),
+        bonds=robot.closure.constraint_names,
+    )
 
 
 def _list_overloaded_joints(

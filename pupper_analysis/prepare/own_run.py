@@ -8,6 +8,7 @@ import, with an added free base, floor and servos if needed.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import math
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 from pupper_analysis.models.transmission import (
     Drive,
@@ -67,6 +68,7 @@ from pupper_analysis.robot.fall import (
 )
 from pupper_analysis.robot.joints import joint_unit, leg_joints
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import close_posture
 
 _CTRL_ANGLE_RTOL = 0.1
 """Upper bound [1] of ``|ctrl - angles| / |angles|`` with which the ctrl of a keyframe counts as
@@ -346,11 +348,13 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 
 
 @silence_mujoco()
-def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
+def _simulate_key(
+    published: PublishedModel, robot: Robot, key: int, reference: Array | None = None
+) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe (zeros if absent).
 
     If ctrl is absent, a second run may command the joint positions of the keyframe
-    (``OwnRun.held``).
+    (``OwnRun.held``). For ``reference``, see `_simulate_commands`.
     """
     model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -361,6 +365,7 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
         robot,
         data,
         HoldCommands(data.ctrl.copy(), data.act.copy(), NO_EXTERNAL_SERVOS, {}),
+        reference,
     )
     run = replace(
         run,
@@ -439,11 +444,62 @@ the keyframe, if stated, is then used. Chosen, not tuned.
 """
 
 
+@dataclass(frozen=True, eq=False)
+class PostureKeyframe:
+    """Keyframe from which a posture of a robot with a fixed base was computed.
+
+    Attributes:
+        key: Index of the keyframe in the published model.
+        name: Name of the keyframe.
+        moved: Displacement of each joint that closes the loops and couplings, shape (nu,) [rad, m]:
+            position in the posture minus position in the keyframe. 0 for dependent joints, which
+            servos do not hold.
+        reference: Joint positions of the keyframe, shape (nu,) [rad, m], with dependent joints as
+            in the posture.
+    """
+
+    key: int
+    name: str
+    moved: Array
+    reference: Array
+
+
+def find_posture_keyframe(robot: Robot, joints: Array) -> PostureKeyframe | None:
+    """Find the keyframe of the published file from which a posture was computed.
+
+    Args:
+        robot: Prepared robot with a fixed base.
+        joints: Joint positions of the posture, shape (nu,) [rad, m], with closed loops.
+
+    Returns:
+        First keyframe that equals the posture after its loops and couplings are closed; None
+        without such a keyframe.
+    """
+    model = robot.compute_once(get_published_model)
+    if model is None:
+        return None
+    places = joint_qpos_addresses(PublishedModel.from_model(model, robot), robot)
+    for key, qpos in enumerate(model.key_qpos):
+        start = qpos[places]
+        with contextlib.suppress(ConfigurationError):
+            closed = close_posture(robot, start, np.zeros(0, np.int64), keeps_driven=True)
+            if np.abs(closed - joints).max(initial=0.0) < _SAME_POSTURE_ATOL:
+                reference = start.copy()
+                if robot.closure is not None:
+                    dependent = robot.closure.dependent_joints
+                    reference[dependent] = joints[dependent]
+                return PostureKeyframe(
+                    key, keyframe_name(model, key), joints - reference, reference
+                )
+    return None
+
+
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     """Simulate the published file of a robot with a fixed base, to find out if a posture is held.
 
-    The command is the ctrl that a keyframe with this posture specifies, or else the joint
-    positions.
+    If a keyframe with ctrl leads to this posture (`find_posture_keyframe`), the simulation starts
+    at the keyframe, with its ctrl. Otherwise the simulation starts at the posture, and commands the
+    joint positions.
 
     Args:
         robot: Prepared robot.
@@ -458,14 +514,24 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     published = PublishedModel.from_model(model, robot)
     if published.floating or find_self_controlled_joints(published, robot):
         return None
-    for key, qpos in enumerate(model.key_qpos):
-        off = np.abs(qpos[joint_qpos_addresses(published, robot)] - joints)
-        if off.max(initial=0.0) < _SAME_POSTURE_ATOL and _xml_has_ctrl(robot, key):
-            run = _simulate_key(published, robot, key)
-            break
-    else:
-        run = _simulate_holding(published, robot, place_fixed_base(published, robot, joints))
+    found = find_posture_keyframe(robot, joints)
+    run = (
+        _simulate_key(published, robot, found.key, found.reference)
+        if found is not None and _xml_has_ctrl(robot, found.key)
+        else simulate_posture(published, robot, joints)
+    )
     return replace(run, limp=has_few_servos(published))
+
+
+def simulate_posture(published: PublishedModel, robot: Robot, joints: Array) -> OwnRun:
+    """Simulate a published model with a fixed base, commanded to a posture in which it starts.
+
+    Args:
+        published: Model of the unmodified file, or a copy with modifications.
+        robot: Prepared robot.
+        joints: Joint positions of the posture, shape (nu,) [rad, m].
+    """
+    return _simulate_holding(published, robot, place_fixed_base(published, robot, joints))
 
 
 def keyframe_name(model: mujoco.MjModel, key: int) -> str:
@@ -474,11 +540,16 @@ def keyframe_name(model: mujoco.MjModel, key: int) -> str:
 
 
 def _simulate_commands(
-    published: PublishedModel, robot: Robot, data: mujoco.MjData, hold: HoldCommands
+    published: PublishedModel,
+    robot: Robot,
+    data: mujoco.MjData,
+    hold: HoldCommands,
+    reference: Array | None = None,
 ) -> OwnRun:
     """Simulate a published model with constant commands, and measure the joint displacements.
 
-    The initial state ``data`` is not modified.
+    The initial state ``data`` is not modified. The displacements are relative to the joint
+    positions ``reference``, shape (nu,) [rad, m]; default: those of ``data``.
     """
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
@@ -500,7 +571,9 @@ def _simulate_commands(
         motion = _measure_lean_from_upright(published, robot, motion, end)
     else:
         motion, end = simulate_held_keyframe(published.model, start, advance)
-    joints = _joint_deviations(published, robot, start, end, hold.ctrl)
+    if reference is None:
+        reference = start.qpos[joint_qpos_addresses(published, robot)]
+    joints = _joint_deviations(published, robot, reference, end, hold.ctrl)
     unheld = _unheld_joints(published, robot, joints)
     lifted = (
         [] if motion.diverged else _list_lifted_legs(published, robot, joints, start, end, motion)
@@ -611,17 +684,16 @@ def _missing_files(robot: Robot) -> tuple[str, ...]:
 
 
 def _joint_deviations(
-    published: PublishedModel, robot: Robot, start: mujoco.MjData, end: mujoco.MjData, ctrl: Array
+    published: PublishedModel, robot: Robot, reference: Array, end: mujoco.MjData, ctrl: Array
 ) -> list[JointOff]:
-    """Return the displacement of each joint from state ``start`` to state ``end``, [rad, m]."""
-    addresses = joint_qpos_addresses(published, robot)
-    displacement = end.qpos[addresses] - start.qpos[addresses]
+    """Return the displacement of each joint from ``reference`` (nu,) to ``end`` [rad, m]."""
+    displacement = end.qpos[joint_qpos_addresses(published, robot)] - reference
     return [
         JointOff(
             name,
             float(displacement[index]),
             published.drives[index],
-            _command_offset(published, name, ctrl, float(start.qpos[addresses[index]])),
+            _command_offset(published, name, ctrl, float(reference[index])),
             joint_unit(robot, name),
         )
         for index, name in enumerate(robot.joint_names)

@@ -540,6 +540,7 @@ _CAUSES = (
     "connect-holds-it",
     "tendon-holds-it",
     "base-tied",
+    "keyframe-violates-constraints",
 )
 """Codes of statements that explain a bad verdict, and follow directly after its first statement.
 """

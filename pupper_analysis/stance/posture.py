@@ -85,7 +85,8 @@ def find_posture(
 
     Joints that are not given have the positions of a keyframe, or without a keyframe the middle of
     their ranges (zero, if possible, for an unlimited joint). Joints of loops and couplings then
-    move to close loops; given joints move by at most 1e-3 rad or m.
+    move to close loops; given joints move by at most 1e-3 rad or m. Driven joints stay at the
+    positions of a keyframe if dependent joints alone can close the loops.
 
     Args:
         robot: Robot with a fixed base.
@@ -109,19 +110,46 @@ def find_posture(
         qpos[robot.joint_names.index(joint)] = position
     placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
     start = qpos
-    qpos = _close_loops(robot, start, placed)
-    if robot.closure is not None and not _is_within(qpos, ranges):
-        # Ranges of unequal width, for example of a finger and the follower with another limit.
-        following = np.zeros(robot.nu)
-        following[np.setdiff1d(robot.closure.dependent_joints, placed)] = 1.0
-        closed = robot.closure.close_loops(start, following)
-        qpos = closed if closed is not None and _is_within(closed, ranges) else qpos
+    qpos = close_posture(robot, start, placed, keeps_driven=source is PostureSource.KEYFRAME)
     moved = np.abs(qpos - start) > _MAX_CLOSING_DISPLACEMENT
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
         bonds = robot.closure.constraint_names if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
     return Posture(robot.joint_names, qpos, source, name or "", tuple(given))
+
+
+def close_posture(
+    robot: Robot, qpos: Array, placed: NDArray[np.int64], *, keeps_driven: bool
+) -> Array:
+    """Close loops and couplings near a posture of a robot with a fixed base.
+
+    Args:
+        robot: Robot with a fixed base.
+        qpos: Joint positions, shape (nu,) [rad, m], whose loops may be open.
+        placed: Indices of the joints that move by at most 1e-3 rad or m.
+        keeps_driven: Whether driven joints stay in place, if dependent joints alone can close the
+            loops within the joint ranges.
+
+    Returns:
+        Joint positions, shape (nu,) [rad, m], perhaps outside of the joint ranges.
+
+    Raises:
+        ConfigurationError: If loops and couplings cannot be closed.
+    """
+    if robot.closure is None:
+        return qpos
+    ranges, following = joint_ranges(robot), np.zeros(robot.nu)
+    following[np.setdiff1d(robot.closure.dependent_joints, placed)] = 1.0
+    closed = robot.closure.close_loops(qpos, following) if keeps_driven else None
+    if closed is not None and _is_within(closed, ranges):
+        return closed
+    closed = _close_loops(robot, qpos, placed)
+    if _is_within(closed, ranges):
+        return closed
+    # Ranges of unequal width, for example of a finger and the follower with another limit.
+    followed = robot.closure.close_loops(qpos, following)
+    return followed if followed is not None and _is_within(followed, ranges) else closed
 
 
 def _is_within(qpos: Array, ranges: Array) -> bool:

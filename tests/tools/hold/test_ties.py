@@ -1,0 +1,132 @@
+"""Postures of robots with a fixed base whose links are tied to the world by constraints."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.judge import describe_violated_keyframe
+from pupper_analysis.prepare.own_run import simulate_fixed_base
+from pupper_analysis.stance.posture import find_posture
+from tests.support import arm
+
+ANCHOR = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
+"""Posture [rad, m] in which the hand of the arm is tied to the world."""
+
+
+def _write_tied_arm(
+    folder: Path, kind: str, offsets: dict[str, float], servos: str = arm._SERVOS, ctrl: bool = True
+) -> pa.Robot:
+    """Load the arm with a tied hand, and a keyframe that differs from `ANCHOR` by ``offsets``."""
+    model = mujoco.MjModel.from_xml_string(arm.MJCF)
+    data = mujoco.MjData(model)
+    for name, position in ANCHOR.items():
+        data.joint(name).qpos = position
+    mujoco.mj_kinematics(model, data)
+    hand = data.body("hand")
+    pose = " ".join(map(repr, (*hand.xpos.tolist(), *hand.xquat.tolist())))
+    tie = (
+        f'<weld name="bolt" body1="world" body2="hand" relpose="{pose}"/>'
+        if kind == "weld"
+        else '<connect name="bolt" site1="tip" site2="hook"/>'
+    )
+    hook = " ".join(map(repr, arm.tip_position(*ANCHOR.values()).tolist()))
+    start = {name: position + offsets.get(name, 0.0) for name, position in ANCHOR.items()}
+    commands = f'ctrl="{" ".join(str(start[name]) for name in arm.ORDER)}"' if ctrl else ""
+    key = f'<key name="home" qpos="{" ".join(map(str, start.values()))}" {commands}/>'
+    text = arm.MJCF.replace(arm._SERVOS, servos)
+    text = text.replace("<worldbody>", f'<worldbody><site name="hook" pos="{hook}"/>')
+    end = f"<equality>{tie}</equality><keyframe>{key}</keyframe></mujoco>"
+    return arm.load_arm(folder, mjcf=text.replace("</mujoco>", end))
+
+
+def _simulate_bare(path: Path, *, tied: bool = True) -> tuple[NDArray[np.float64], mujoco.MjData]:
+    """Simulate a file from its keyframe for 5 s; return the joint displacements and the state."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.eq_active[:] = tied
+    start = data.qpos.copy()
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    return data.qpos - start, data
+
+
+@pytest.mark.parametrize("kind", ["weld", "connect"])
+@pytest.mark.parametrize("ctrl", [True, False])
+@pytest.mark.parametrize("offset", [0.0, 0.2, 0.8])
+def test_keyframe_that_violates_a_tie_is_not_held(
+    tmp_path: Path, kind: str, ctrl: bool, offset: float
+) -> None:
+    """Reference: displacement of the joints from the keyframe in bare MuJoCo, and motor torques."""
+    robot = _write_tied_arm(tmp_path, kind, {"a_turn": offset}, ctrl=ctrl)
+    joints = find_posture(robot).qpos
+    message = describe_violated_keyframe(robot, joints)
+    if not ctrl:
+        assert (message is not None) is (offset > 0)
+        return
+    moved, data = _simulate_bare(tmp_path / "arm.xml")
+    run = simulate_fixed_base(robot, joints)
+    assert run is not None
+    assert run.keyframe == "home"
+    assert run.worst is not None
+    assert abs(run.worst.off) == pytest.approx(np.abs(moved).max(), abs=5e-3)
+    assert run.fails is bool(np.abs(moved).max() > 0.5)
+    assert (message is not None) is (offset > 0)
+    if message is None:
+        assert np.abs(moved).max() < 0.02
+        return
+    # In bare MuJoCo, the servos press against the tie: no torque of the judged posture.
+    judged = arm.holding_torques(*(joints[robot.joint_names.index(name)] for name in ANCHOR))
+    torque = data.actuator_force[arm.ORDER.index("a_turn")]
+    pressing = offset * arm.STIFFNESS["a_turn"]
+    assert torque - judged["a_turn"] == pytest.approx(pressing, rel=0.1)
+    assert message.values["bonds"] == (f"{kind} bolt",)
+
+
+FOUR_BAR = """<mujoco><compiler angle="radian"/><option integrator="implicitfast"/><worldbody>
+<body name="base"><geom size=".05" mass="1" contype="0" conaffinity="0"/>
+<body name="crank"><joint name="crank" axis="0 -1 0" range="-1.2 1.2"/>
+<geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".5" contype="0" conaffinity="0"/>
+<body name="rod" pos=".1 0 0"><joint name="rod" axis="0 -1 0" range="-3 3" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 .1 0 .23" size=".01" mass=".4" contype="0" conaffinity="0"/>
+<body name="rocker" pos=".1 0 .23"><joint name="rocker" axis="0 -1 0" range="-3 3" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 .1 0 -.23" size=".01" mass=".3" contype="0" conaffinity="0"/>
+</body></body></body></body></worldbody>
+<equality><connect body1="rocker" body2="{}" anchor=".1 0 -.23"/></equality>
+<actuator><position joint="crank" kp="100" kv="2" forcerange="-5 5"/></actuator>
+<keyframe><key name="home" qpos="{}" ctrl="{}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("anchor", ["base", "world"])
+@pytest.mark.parametrize("followers", ["0 0", "-0.31 0.02"])
+def test_four_bar_with_a_pivot_in_the_base_has_no_tie(
+    tmp_path: Path, anchor: str, followers: str
+) -> None:
+    """The crank turns by 0.3 rad in the keyframe, whose other two joints do not close the loop.
+
+    Reference: bare MuJoCo from the keyframe, in which the servo keeps the angle of the crank.
+    """
+    path = tmp_path / "bar.xml"
+    path.write_text(FOUR_BAR.format(anchor, f"0.3 {followers}", 0.3))
+    robot = pa.load_robot(path, fixed_base=True)
+    assert robot.closure is not None
+    joints = find_posture(robot).qpos
+    moved, data = _simulate_bare(path)
+    positions = dict(zip(robot.joint_names, joints.tolist(), strict=True))
+    assert positions["crank"] == 0.3
+    assert abs(moved[0]) < 0.02
+    for name in ("rod", "rocker"):
+        assert positions[name] == pytest.approx(float(data.joint(name).qpos[0]), abs=0.02)
+    assert describe_violated_keyframe(robot, joints) is None
+    run = simulate_fixed_base(robot, joints)
+    assert run is not None
+    assert run.keyframe == "home"
+    assert not run.fails
+    assert run.worst is not None
+    assert math.isclose(abs(run.worst.off), 0.0, abs_tol=0.02)
