@@ -114,9 +114,9 @@ def judge_simulation(
     robot = stand.check(robot)
     servos, loaded = find_servos_used(robot, kp, kd), get_loaded_robot(robot)
     joints = stand.qpos[-robot.nu :]
-    keyframe_run = explain_own_run(robot)
-    if not (loaded.floating or stand.stance_feet):
-        keyframe_run = simulate_fixed_base(loaded, joints)
+    keyframe_run = (
+        explain_own_run(robot) if loaded.floating else simulate_fixed_base(loaded, joints)
+    )
     if statics is not None and fed.passed:
         fragile = alone is not None and not alone.passed
         fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd, fragile=fragile)

@@ -166,7 +166,7 @@ def compare_as_published(
         return None
     gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
     loaded = get_loaded_robot(robot)
-    if not (loaded.floating or stand.stance_feet):  # posture of a fixed base
+    if not loaded.floating:
         return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.fixed_parts or not stand.task.ground.is_level:
         if gains is None:

@@ -15,6 +15,8 @@ from pupper_analysis.prepare.judge import describe_violated_keyframe
 from pupper_analysis.prepare.own_run import simulate_fixed_base
 from pupper_analysis.stance.posture import find_posture
 from tests.support import arm
+from tests.support.commands import answer
+from tests.support.legged import rewrite_file
 
 ANCHOR = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 """Posture [rad, m] in which the hand of the arm is tied to the world."""
@@ -87,6 +89,18 @@ def test_keyframe_that_violates_a_tie_is_not_held(
     pressing = offset * arm.STIFFNESS["a_turn"]
     assert torque - judged["a_turn"] == pytest.approx(pressing, rel=0.1)
     assert message.values["bonds"] == (f"{kind} bolt",)
+
+
+def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path: Path) -> None:
+    """Reference: bare MuJoCo moves a joint of the arm by 0.8 rad from the keyframe."""
+    _write_tied_arm(tmp_path, "weld", {"a_turn": 0.8})
+    path = tmp_path / "arm.xml"
+    assert np.abs(_simulate_bare(path)[0]).max() > 0.7
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+    rewrite_file(path, ('<body name="base">', f'<body name="base">{inertial}'))
+    result = answer("stand", str(path), "--contact", "base=weld", folder=tmp_path)
+    assert result.returncode == 1
+    assert result.stdout.startswith("FAILS")
 
 
 FOUR_BAR = """<mujoco><compiler angle="radian"/><option integrator="implicitfast"/><worldbody>
