@@ -10,6 +10,7 @@ If the deviation then disappears in a simulation, the element is the cause (`pre
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -39,6 +40,7 @@ from pupper_analysis.prepare.published_model import (
 )
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.build import compile_with_visuals
+from pupper_analysis.robot.closure import find_closure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
 
@@ -512,6 +514,34 @@ def list_ties(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
                 tuple(name),
                 _make_switch(("eq_active0", equalities, 0), ("tendon_limited", tendon, 0)),
             )
+
+
+def list_restraining_ties(model: mujoco.MjModel, robot: Robot) -> list[CauseCandidate]:
+    """List the ties of a robot with a fixed base (`list_ties`) that restrain driven joints.
+
+    A loop that the base closes, such as a four-bar linkage, is omitted: its constraint determines
+    only dependent joints. A limited tendon is omitted too.
+
+    Args:
+        model: Published model: the user's file as compiled.
+        robot: Prepared robot.
+    """
+    restraining = {
+        tie.elements for tie in list_ties(robot.mj_model) if _restrains_driven_joints(tie, robot)
+    }
+    return [tie for tie in list_ties(model) if tie.elements in restraining]
+
+
+def _restrains_driven_joints(tie: CauseCandidate, robot: Robot) -> bool:
+    """Return True if driven joints of a robot can move in more ways without a tie."""
+    untied = copy.copy(robot.mj_model)
+    tie.switch_off(untied)
+    remaining = find_closure(untied, robot.mj_convention, robot.joint_names)
+    restrained, restrained_untied = (
+        0 if closure is None else closure.num_restrained_motions
+        for closure in (robot.closure, remaining)
+    )
+    return restrained > restrained_untied
 
 
 def _reach_the_world(model: mujoco.MjModel, bodies: list[int]) -> bool:

@@ -39,6 +39,7 @@ from pupper_analysis.prepare.self_check import (
     compare_as_published,
     explain_own_run,
     name_remaining_cause,
+    report_posture_ties,
     report_ties,
 )
 from pupper_analysis.robot.alike import report_limbs_without_feet
@@ -151,7 +152,8 @@ def judge_simulation(
         *(() if published is None else published.causes),
     )
     if not any(cause.code in TIE_CODES for cause in causes):
-        remarks = (*report_ties(robot), *remarks)
+        ties = report_ties(robot) if loaded.floating else report_posture_ties(loaded, joints)
+        remarks = (*ties, *remarks)
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     # With given gains, the run from the keyframe is information only.
     if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):

@@ -29,6 +29,7 @@ from pupper_analysis.prepare.causes import (
     add_line,
     list_difference_causes,
     list_loading_changes,
+    list_restraining_ties,
     list_shared_causes,
     list_soft_servos,
     list_ties,
@@ -39,6 +40,7 @@ from pupper_analysis.prepare.own_run import (
     keyframe_name,
     own_run,
     simulate_model_from_keyframe,
+    simulate_posture,
 )
 from pupper_analysis.prepare.published_model import (
     FORCE_WINDOW,
@@ -811,6 +813,38 @@ def _report_ties(robot: Robot) -> tuple[Diagnostic, ...]:
     line = add_lines([ties[0].make_cause(0.0)], robot)[0].line
     message = diagnose("base-tied", names=names, line=line, falls=falls)
     return (replace(message, severity=Severity.ERROR) if falls else message,)
+
+
+def report_posture_ties(robot: Robot, joints: Array) -> tuple[Diagnostic, ...]:
+    """Report constraints of the file that tie a link of a robot with a fixed base to the world.
+
+    Constraints that close a loop with the base are not reported (`list_restraining_ties`). The
+    severity is ERROR if the unmodified file, commanded to a posture, keeps the posture, but not
+    without these constraints.
+
+    Args:
+        robot: Prepared robot with a fixed base, as loaded.
+        joints: Joint positions of the posture, shape (nu,) [rad, m].
+    """
+    model = None if robot.closure is None else robot.compute_once(get_published_model)
+    ties = [] if model is None else list_restraining_ties(model, robot)
+    if model is None or not ties:
+        return ()
+    untied = copy.copy(model)
+    for tie in ties:
+        tie.switch_off(untied)
+    tied_run, run = (
+        simulate_posture(PublishedModel.from_model(changed, robot), robot, joints)
+        for changed in (model, untied)
+    )
+    leaves = tied_run.keeps_stance and not run.keeps_stance
+    message = diagnose(
+        "link-tied",
+        names=[name for tie in ties for name in tie.elements],
+        line=add_lines([ties[0].make_cause(0.0)], robot)[0].line,
+        leaves=leaves,
+    )
+    return (replace(message, severity=Severity.ERROR) if leaves else message,)
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:

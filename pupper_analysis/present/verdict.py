@@ -305,7 +305,14 @@ def judged_document(
         reasons, findings = (*leading, number, *reasons), (*limits, *others)
     else:
         reasons = (*leading, *reasons) if reasons else ()
-        warnings = (*limits, *first) if judged.passed else limits
+        # A tie of a link is a condition of all numbers, and precedes a second number.
+        ties = [
+            diagnostic_text(remark, "good")
+            for remark in judged.verdict.remarks
+            if remark.code == "link-tied"
+        ]
+        untied = (line for line in first if line not in ties)
+        warnings = (*ties, *limits, *untied) if judged.passed else limits
         findings = (number, *report_refused_file(judged.verdict), *warnings, *others)
     return Document(
         kind,
@@ -540,6 +547,7 @@ _CAUSES = (
     "connect-holds-it",
     "tendon-holds-it",
     "base-tied",
+    "link-tied",
     "keyframe-violates-constraints",
 )
 """Codes of statements that explain a bad verdict, and follow directly after its first statement.

@@ -162,6 +162,14 @@ class Closure:
         forces = self._force_distribution(qpos) @ load[self.dependent_joints]
         return -self._evaluate_compliance(qpos).solve_violations(forces)
 
+    @property
+    def num_restrained_motions(self) -> int:
+        """Number of independent motions of driven joints that the constraints prevent.
+
+        It is the rank of the constraint Jacobian minus the number of dependent joints.
+        """
+        return self._rank - len(self.dependent_joints)
+
     def load_transfer(self, qpos: Array) -> Array:
         """Return the matrix P that maps a joint load x to the torques P x of the loop constraints.
 

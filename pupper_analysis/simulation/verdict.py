@@ -40,7 +40,7 @@ class VerdictCode(StrEnum):
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
     LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
-    TIED = "holds by a constraint that ties the base to the world"
+    TIED = "holds by a constraint that ties the robot to the world"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
     DISAGREES = "stands in simulation, and not as predicted"
@@ -345,6 +345,11 @@ def classify_ending(run: Outcome) -> Ending:
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
+_TIE_CODES = {"base-tied", "link-tied"}
+"""Codes of messages about constraints that tie the robot to the world. With severity error, the
+robot holds only by such a constraint."""
+
+
 def _find_worst_code(
     fed: Outcome,
     alone: Outcome | None,
@@ -376,7 +381,8 @@ def _find_worst_code(
         return VerdictCode.DIFFERS_AS_PUBLISHED
     errors = [remark.code for remark in remarks if remark.severity is Severity.ERROR]
     if errors:
-        return VerdictCode.TIED if "base-tied" in errors else VerdictCode.LIMB_WITHOUT_FOOT
+        tied = not _TIE_CODES.isdisjoint(errors)
+        return VerdictCode.TIED if tied else VerdictCode.LIMB_WITHOUT_FOOT
     if overloaded_motors:
         return VerdictCode.OVERLOADED
     if alone is not None and not alone.passed:

@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import describe_violated_keyframe
 from pupper_analysis.prepare.own_run import simulate_fixed_base
+from pupper_analysis.prepare.self_check import report_posture_ties
+from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.stance.posture import find_posture
+from pupper_analysis.tools.hold.document import hold_document
+from pupper_analysis.tools.hold.hold import hold_posture
 from tests.support import arm
 from tests.support.commands import answer
 from tests.support.legged import rewrite_file
@@ -69,6 +73,10 @@ def test_keyframe_that_violates_a_tie_is_not_held(
     robot = _write_tied_arm(tmp_path, kind, {"a_turn": offset}, ctrl=ctrl)
     joints = find_posture(robot).qpos
     message = describe_violated_keyframe(robot, joints)
+    (tie,) = report_posture_ties(robot, joints)
+    assert tie.values["names"] == ("bolt",)
+    assert tie.values["line"] is not None
+    assert tie.severity == "warning"
     if not ctrl:
         assert (message is not None) is (offset > 0)
         return
@@ -91,6 +99,29 @@ def test_keyframe_that_violates_a_tie_is_not_held(
     assert message.values["bonds"] == (f"{kind} bolt",)
 
 
+@pytest.mark.parametrize("kind", ["weld", "connect"])
+@pytest.mark.parametrize(
+    ("offset", "code"),
+    [
+        (0.0, VerdictCode.HOLDS),
+        (0.2, VerdictCode.DISAGREES),
+        (0.8, VerdictCode.OWN_DRIVES_FAIL),
+    ],
+)
+def test_verdict_of_a_tied_arm_names_the_tie(
+    tmp_path: Path, kind: str, offset: float, code: VerdictCode
+) -> None:
+    hold = hold_posture(_write_tied_arm(tmp_path, kind, {"a_turn": offset}))
+    verdict = hold.verdict
+    document = hold_document(hold)
+    shown = document.findings if document.passed else document.failures
+    for language in ("en", "zh"):
+        assert any("bolt" in getattr(line, language, "") for line in shown[:2])
+    failing = {VerdictCode.OWN_DRIVES_FAIL, VerdictCode.FAILS}
+    assert verdict.code in (failing if code in failing else {code})
+    assert "link-tied" in [remark.code for remark in verdict.remarks]
+
+
 def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path: Path) -> None:
     """Reference: bare MuJoCo moves a joint of the arm by 0.8 rad from the keyframe."""
     _write_tied_arm(tmp_path, "weld", {"a_turn": 0.8})
@@ -101,6 +132,20 @@ def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path:
     result = answer("stand", str(path), "--contact", "base=weld", folder=tmp_path)
     assert result.returncode == 1
     assert result.stdout.startswith("FAILS")
+    assert "tied to the world by bolt" in result.stdout
+
+
+def test_posture_that_only_a_tie_holds_does_not_pass(tmp_path: Path) -> None:
+    """Reference: bare MuJoCo with and without the tie; the servos of 2 N m/rad are too soft."""
+    soft = "".join(f'<position joint="{name}" kp="2" kv="5"/>' for name in arm.ORDER)
+    robot = _write_tied_arm(tmp_path, "weld", {}, soft)
+    path = tmp_path / "arm.xml"
+    assert np.abs(_simulate_bare(path)[0]).max() < 0.05
+    assert np.abs(_simulate_bare(path, tied=False)[0]).max() > 0.5
+    verdict = hold_posture(robot).verdict
+    assert verdict.code is VerdictCode.TIED
+    (tie,) = [remark for remark in verdict.remarks if remark.code == "link-tied"]
+    assert tie.values["leaves"] is True
 
 
 FOUR_BAR = """<mujoco><compiler angle="radian"/><option integrator="implicitfast"/><worldbody>
@@ -130,6 +175,7 @@ def test_four_bar_with_a_pivot_in_the_base_has_no_tie(
     path.write_text(FOUR_BAR.format(anchor, f"0.3 {followers}", 0.3))
     robot = pa.load_robot(path, fixed_base=True)
     assert robot.closure is not None
+    assert robot.closure.num_restrained_motions == 0
     joints = find_posture(robot).qpos
     moved, data = _simulate_bare(path)
     positions = dict(zip(robot.joint_names, joints.tolist(), strict=True))
@@ -137,6 +183,7 @@ def test_four_bar_with_a_pivot_in_the_base_has_no_tie(
     assert abs(moved[0]) < 0.02
     for name in ("rod", "rocker"):
         assert positions[name] == pytest.approx(float(data.joint(name).qpos[0]), abs=0.02)
+    assert not report_posture_ties(robot, joints)
     assert describe_violated_keyframe(robot, joints) is None
     run = simulate_fixed_base(robot, joints)
     assert run is not None
@@ -144,3 +191,11 @@ def test_four_bar_with_a_pivot_in_the_base_has_no_tie(
     assert not run.fails
     assert run.worst is not None
     assert math.isclose(abs(run.worst.off), 0.0, abs_tol=0.02)
+
+
+def test_four_bar_with_a_pivot_in_the_world_holds(tmp_path: Path) -> None:
+    path = tmp_path / "bar.xml"
+    path.write_text(FOUR_BAR.format("world", "0.3 0 0", 0.3))
+    verdict = hold_posture(pa.load_robot(path, fixed_base=True)).verdict
+    assert verdict.passed
+    assert "link-tied" not in [remark.code for remark in verdict.remarks]
