@@ -450,7 +450,8 @@ def find_servos_used(
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range.
         ModelError: If a joint has no motor; or if a motor is no position servo, and kp or kd is
-            None. Dependent joints of loops and couplings need no motor.
+            None. Dependent joints of loops and couplings need no motor, unless all joints are
+            dependent.
     """
     found, made = resolve_servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}
@@ -462,6 +463,9 @@ def find_servos_used(
         source = ServoSource.ADDED if made else ServoSource.FILE
         passive = [name in robot.description.passive_joints for name in robot.joint_names]
         chosen = chosen if made else (found.kp > 0) & ~np.array(passive)
+    if robot.closure is not None and len(robot.closure.dependent_joints) == robot.nu:
+        problem = diagnose("joints-held-by-constraints-alone", bonds=robot.closure.constraint_names)
+        raise ModelError(robot.description.mjcf_source, problem)
     stiffness, damping = found.kp[chosen], found.kd[chosen]
     units = get_common_units(robot, [robot.joint_names[index] for index in np.flatnonzero(chosen)])
     return ServosUsed(

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.prepare.judge import describe_violated_keyframe
 from pupper_analysis.prepare.own_run import simulate_fixed_base
 from pupper_analysis.prepare.self_check import report_posture_ties
@@ -199,3 +200,12 @@ def test_four_bar_with_a_pivot_in_the_world_holds(tmp_path: Path) -> None:
     verdict = hold_posture(pa.load_robot(path, fixed_base=True)).verdict
     assert verdict.passed
     assert "link-tied" not in [remark.code for remark in verdict.remarks]
+
+
+def test_arm_without_actuators_is_refused_if_a_tie_determines_its_joints(tmp_path: Path) -> None:
+    """Reference: the weld of six equations has the rank of all joints of the arm."""
+    robot = _write_tied_arm(tmp_path, "weld", {}, servos="", ctrl=False)
+    assert robot.closure is not None
+    assert len(robot.closure.dependent_joints) == robot.nu
+    with pytest.raises(ModelError, match="weld bolt alone determines all joint positions"):
+        hold_posture(robot)
