@@ -345,7 +345,7 @@ def classify_ending(run: Outcome) -> Ending:
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
-_TIE_CODES = {"base-tied", "link-tied"}
+TIE_MESSAGE_CODES = {"base-tied", "link-tied"}
 """Codes of messages about constraints that tie the robot to the world. With severity error, the
 robot holds only by such a constraint."""
 
@@ -381,7 +381,7 @@ def _find_worst_code(
         return VerdictCode.DIFFERS_AS_PUBLISHED
     errors = [remark.code for remark in remarks if remark.severity is Severity.ERROR]
     if errors:
-        tied = not _TIE_CODES.isdisjoint(errors)
+        tied = not TIE_MESSAGE_CODES.isdisjoint(errors)
         return VerdictCode.TIED if tied else VerdictCode.LIMB_WITHOUT_FOOT
     if overloaded_motors:
         return VerdictCode.OVERLOADED

@@ -48,7 +48,12 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
-from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending, VerdictCode
+from pupper_analysis.simulation.verdict import (
+    TIE_MESSAGE_CODES,
+    TWO_ROBOTS_CODE,
+    Ending,
+    VerdictCode,
+)
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
 from pupper_analysis.statics.equilibrium import find_hardest_motor
@@ -199,8 +204,8 @@ _NEXT_STEPS = {
 
 
 def _is_tied(stance: Stance) -> bool:
-    """Return True if the file ties the base to the world."""
-    return any(remark.code == "base-tied" for remark in stance.verdict.remarks)
+    """Return True if the file ties the base or another link to the world."""
+    return any(remark.code in TIE_MESSAGE_CODES for remark in stance.verdict.remarks)
 
 
 def _select_next_step(stance: Stance) -> NextStep:

@@ -106,17 +106,24 @@ def test_too_soft_servos_are_stated_with_stiffness_and_factor() -> None:
     assert "(kp 30 N m/rad): with 16 times their gains" in line.en
 
 
-def test_tie_to_the_world_precedes_too_soft_servos() -> None:
-    """A <weld> lifts the robot: no stiffness changes that."""
-    tied = diagnose("base-tied", names=("weld",), line=3, falls=False)
+@pytest.mark.parametrize(
+    ("code", "effect", "part"),
+    [
+        ("base-tied", "falls", "ties the robot to the world"),
+        ("link-tied", "leaves", "ties a moving link to the world"),
+    ],
+)
+def test_tie_to_the_world_precedes_too_soft_servos(code: str, effect: str, part: str) -> None:
+    """A <weld> lifts the robot, or holds the tip of an arm: no stiffness changes that."""
+    tied = diagnose(code, names=("weld",), line=3, **{effect: False})
     verdict = judge_stance(run(-0.4, passed=False), None, SERVOS, remarks=(tied,))
     assert verdict.code is VerdictCode.FAILS
     soft = SoftServos("ankle_*", ("ankle_l", "ankle_r"), 30.0, 16.0)
     document = stance_document(stance(verdict=verdict, passed=False, soft_servos=soft))
     lines = [get_english(line) for line in document.failures + document.findings]
     tie, servos = (
-        next(place for place, line in enumerate(lines) if part in line)
-        for part in ("ties the robot to the world", "with 16 times their gains")
+        next(place for place, line in enumerate(lines) if words in line)
+        for words in (part, "with 16 times their gains")
     )
     assert tie < servos
     assert document.next_step is not None
