@@ -255,7 +255,9 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     return diagnose("feet-without-friction", feet=feet)
 
 
-def describe_violated_keyframe(robot: Robot, joints: Array) -> Diagnostic | None:
+def describe_violated_keyframe(
+    robot: Robot, joints: Array, requested: Sequence[str] = ()
+) -> Diagnostic | None:
     """Create the message that constraints move driven joints of a keyframe to another posture.
 
     The servos of the unmodified file then press against the constraints, with torques that the
@@ -263,7 +265,8 @@ def describe_violated_keyframe(robot: Robot, joints: Array) -> Diagnostic | None
 
     Args:
         robot: Prepared robot with a fixed base, as loaded.
-        joints: Joint positions of the judged posture, shape (nu,) [rad, m].
+        joints: Joint positions of the keyframe with closed loops, shape (nu,) [rad, m].
+        requested: Names of joints whose positions replace those of the keyframe.
 
     Returns:
         The message; None if the posture was not computed from a keyframe, or if no displacement
@@ -272,7 +275,8 @@ def describe_violated_keyframe(robot: Robot, joints: Array) -> Diagnostic | None
     found = None if robot.closure is None else find_posture_keyframe(robot, joints)
     if found is None or robot.closure is None:
         return None
-    moved = np.where(robot.mj_convention.actuator_index >= 0, np.abs(found.moved), 0.0)
+    judged = (robot.mj_convention.actuator_index >= 0) & ~np.isin(robot.joint_names, requested)
+    moved = np.where(judged, np.abs(found.moved), 0.0)
     worst = int(np.argmax(moved))
     if not moved[worst] > MIN_UNHELD_DISPLACEMENT:
         return None

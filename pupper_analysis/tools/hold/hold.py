@@ -9,9 +9,10 @@ reach.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,7 +22,7 @@ from scipy import linalg
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.base.errors import NoEquilibriumError
+from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
@@ -29,7 +30,8 @@ from pupper_analysis.models.efforts import EffortCode, EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.prepare.convert.from_urdf import has_limbs
-from pupper_analysis.prepare.judge import judge_simulation
+from pupper_analysis.prepare.judge import describe_violated_keyframe, judge_simulation
+from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
@@ -540,7 +542,10 @@ def hold_posture(
         loaded = with_payload(robot, VERIFIED_FRACTION * max_mass, point)
         loaded_stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
         trial = verify_stand(loaded, loaded_stand, kp=kp, kd=kd)
-    verdict = judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd)
+    judged = fed
+    if (violated := _describe_violated_keyframe(robot, posture)) is not None:
+        judged = replace(fed, passed=False, failures=(violated, *fed.failures))
+    verdict = judge_simulation(robot, stand, judged, alone, statics=statics, kp=kp, kd=kd)
     mass_alone = math.nan
     if commands_alone and verdict.passed and verdict.commands_alone is Ending.HOLDS:
         mass_alone = _find_mass_by_commands_alone(
@@ -571,6 +576,21 @@ def hold_posture(
         reach=reach_load(robot, posture, point),
         mass_by_commands_alone=mass_alone,
     )
+
+
+def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | None:
+    """Create the message that constraints move joints that were not requested; None otherwise.
+
+    `judge_simulation` creates this message for the posture of a keyframe without requested joints.
+    """
+    if robot.closure is None or not (posture.keyframe and posture.requested_joints):
+        return None
+    loaded = get_loaded_robot(robot)
+    # The loops of the keyframe may close within the joint ranges only with the requested joints.
+    with contextlib.suppress(ConfigurationError):
+        joints = find_posture(loaded, keyframe=posture.keyframe).qpos
+        return describe_violated_keyframe(loaded, joints, posture.requested_joints)
+    return None
 
 
 def _has_legs(robot: Robot) -> bool:

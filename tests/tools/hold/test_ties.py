@@ -136,6 +136,18 @@ def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path:
     assert "tied to the world by bolt" in result.stdout
 
 
+def test_requested_joint_does_not_hide_that_a_keyframe_violates_a_tie(tmp_path: Path) -> None:
+    """The slide is requested; the connect turns the arm by 0.2 rad from the keyframe."""
+    robot = _write_tied_arm(tmp_path, "connect", {"a_turn": 0.2})
+    verdict = hold_posture(robot, {"b_slide": 0.05}).verdict
+    assert verdict.code is VerdictCode.DISAGREES
+    (message,) = verdict.failures
+    assert message.code == "keyframe-violates-constraints"
+    assert message.values["joint"] == "a_turn"
+    # The requested joints are the ones that the keyframe would place elsewhere.
+    assert hold_posture(robot, ANCHOR).verdict.passed
+
+
 def test_posture_that_only_a_tie_holds_does_not_pass(tmp_path: Path) -> None:
     """Reference: bare MuJoCo with and without the tie; the servos of 2 N m/rad are too soft."""
     soft = "".join(f'<position joint="{name}" kp="2" kv="5"/>' for name in arm.ORDER)
