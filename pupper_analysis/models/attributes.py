@@ -102,8 +102,11 @@ def known_limit(stated: float) -> float:
     return math.inf if stated >= UNSTATED else stated
 
 
-def known_positions(stated: Array) -> Array:
-    """Return position limits [rad, m]; absolute values from ``UNSTATED`` up become infinite."""
+def known_limits(stated: Array) -> Array:
+    """Return limits of positions, velocities or efforts; unspecified limits are infinite.
+
+    Absolute values from ``UNSTATED`` up mean "unspecified"; the sign is kept.
+    """
     return np.where(np.abs(stated) >= UNSTATED, np.copysign(np.inf, stated), stated)
 
 

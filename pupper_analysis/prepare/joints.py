@@ -17,7 +17,7 @@ import mujoco
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.units import select_joint_units
-from pupper_analysis.models.attributes import known_positions
+from pupper_analysis.models.attributes import known_limits
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.spec_tree import SpecTree
@@ -88,7 +88,7 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
             continue
         mjcf_low, mjcf_high = (float(value) for value in model.jnt_range[joint])
         bounds = max(mjcf_low, float(low)), min(mjcf_high, float(high))
-        known_low, known_high = known_positions(model.jnt_range[joint])
+        known_low, known_high = known_limits(model.jnt_range[joint])
         ordered = low <= high and mjcf_low <= mjcf_high  # crossed limits have their own error
         if ordered and bounds[0] > bounds[1] + _LIMIT_ATOL:
             unit = select_joint_units(slides=model.jnt_type[joint] == JointKind.SLIDE).position

@@ -28,7 +28,7 @@ from pupper_analysis.base.units import (
     combine_joint_units,
     select_joint_units,
 )
-from pupper_analysis.models.attributes import known_positions
+from pupper_analysis.models.attributes import known_limits
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -251,7 +251,7 @@ def joint_ranges(robot: Robot) -> Array:
     joints = [model.joint(name).id for name in robot.joint_names]
     stated = np.where(
         model.jnt_limited[joints].astype(bool)[:, None],
-        known_positions(model.jnt_range[joints]),
+        known_limits(model.jnt_range[joints]),
         (-np.inf, np.inf),
     )
     low = np.maximum(stated[:, 0], robot.lower_limits)

@@ -35,7 +35,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.frozen import FrozenDict, freeze_fields
 from pupper_analysis.base.runs import is_command_line
 from pupper_analysis.base.units import EARTH_GRAVITY
-from pupper_analysis.models.attributes import known_positions
+from pupper_analysis.models.attributes import known_limits
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
@@ -701,7 +701,7 @@ class Robot(EngineModels):
 
         The value is 0 if the URDF states 0 or less: the joint may not move.
         """
-        limits = known_positions(self.pin_model.velocityLimit[self.pin_convention.v_index])
+        limits = known_limits(self.pin_model.velocityLimit[self.pin_convention.v_index])
         found: Array = np.maximum(limits, 0.0)
         return found
 
@@ -709,7 +709,7 @@ class Robot(EngineModels):
         """Select joint limits (nu,) [rad, m]; ``unbounded`` is the value of continuous joints."""
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
-        return known_positions(limits)
+        return known_limits(limits)
 
     def check_not_welded(self, what: str) -> None:
         """Raise an error if a task fixes a part of the robot to the world by a weld or a grip.

@@ -39,7 +39,7 @@ from pupper_analysis.base.units import (
     EARTH_GRAVITY,
     JointUnits,
 )
-from pupper_analysis.models.attributes import UNSTATED
+from pupper_analysis.models.attributes import known_limits
 from pupper_analysis.models.conversion import (
     UrdfImport,
     acting_gravity,
@@ -348,9 +348,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
         "upper joint limits": robot.upper_limits,
         # An effort of 0 means no limit in a URDF, as in MuJoCo's importer.
         "effort limits": np.where(
-            (model.effortLimit[v] == 0) | (model.effortLimit[v] >= UNSTATED),
-            np.inf,
-            model.effortLimit[v],
+            model.effortLimit[v] == 0, np.inf, known_limits(model.effortLimit[v])
         ),
         "armature": model.armature[v],
         "joint damping": model.damping[v],
