@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -155,6 +155,15 @@ class UrdfFile:
             for folder in path.parents:
                 yield from find_package_folders(folder, package)
         yield from self.path.absolute().parents
+
+
+def describe_missing_meshes(files: Sequence[str]) -> Diagnostic | None:
+    """Create the message about missing mesh files of a URDF, with the remedy; None without any.
+
+    ``files`` are values of ``filename``, such as ``package://NAME/foot.stl``.
+    """
+    packages = any("://" in file for file in files)
+    return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
 
 def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:

@@ -25,7 +25,7 @@ from pupper_analysis.models.mesh_scenes import UnreadableError, read_merged_mesh
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, describe_missing_meshes
 from pupper_analysis.models.xml import add_element, make_unique_name
 
 _PACKAGE_PREFIX = "package://"
@@ -93,9 +93,7 @@ class MeshFiles:
     @property
     def missing_files(self) -> Diagnostic | None:
         """Message about missing files of registered meshes, with the remedy; None without any."""
-        files = self._left.get(diagnose("no-such-mesh-file"), [])
-        packages = any("://" in file for file in files)
-        return diagnose("meshes-missing", files=files, packages=packages) if files else None
+        return describe_missing_meshes(self._left.get(diagnose("no-such-mesh-file"), []))
 
     def register_mesh(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Register a ``<mesh>`` of the URDF for the MJCF, and return the mesh name in the MJCF.

@@ -43,7 +43,7 @@ from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.model import Inertial
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear, list_actuator_targets
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, describe_missing_meshes
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.mjcf_only import NamedModel, mjcf_only_effects
 from pupper_analysis.robot.matching.match import delete_ball_joints, drop_other_objects, mjcf_tree
@@ -113,9 +113,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
         joint.remove("mimic")
     kinds = {name: joint.kind for name, joint in tree.joints.items()}
     meshes = dict.fromkeys(mesh.get("filename", "") for mesh in file.root.iter("mesh"))
-    missing = [mesh for mesh in meshes if file.resolve_mesh(mesh) is None]
-    packages = any("://" in mesh for mesh in missing)
-    lost = [diagnose("meshes-missing", files=missing, packages=packages)] if missing else []
+    lost = describe_missing_meshes([mesh for mesh in meshes if file.resolve_mesh(mesh) is None])
     _, fixed, held = fix_other_joints(root)
     base, stated = tree.base.name, read_urdf_model(file)
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
@@ -130,7 +128,7 @@ def _read_urdf_version(file: UrdfFile) -> Version:
         elements=list_collisions(stated),
         bodies=carriers,
         sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
-        notes=(*file.notes, *lost, *held),
+        notes=(*file.notes, *([] if lost is None else [lost]), *held),
         inertials={
             name: link.inertial for name, link in stated.links.items() if link.inertial is not None
         },
