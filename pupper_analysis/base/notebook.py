@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from html import escape
 from typing import Any
@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, format_number
-from pupper_analysis.base.units import (
-    MIXED_UNITS,
-    POSITION_UNIT,
-    VARYING_UNIT,
-    JointUnits,
-    find_common_units,
-)
+from pupper_analysis.base.units import POSITION_UNIT, get_field_units
 
 MAX_SHOWN_NUMBERS = 12
 """Largest number of elements of a vector that a table cell shows on one line. Chosen: number of
@@ -82,42 +76,6 @@ def render_result(result: object) -> str:
     return render_table(kind.__name__, rows)
 
 
-def get_field_units(result: object) -> dict[str, str | Mapping[str, str]]:
-    """Return {field: unit} of a result, ``1`` for ratios; empty for texts and unknown units.
-
-    A varying unit is in the field or property ``unit``. A field such as ``joint_error_unit``
-    contains the unit of ``joint_error``. Units of joint quantities are those of the result's
-    joints, if the result contains them. A unit {key: unit} belongs to the entries of a mapping.
-    """
-    kind: Any = type(result)
-    stated = {field.name: field.metadata.get("unit", "") for field in fields(kind)}
-    own = getattr(result, "unit", "")
-    for name, unit in stated.items():
-        beside = getattr(result, f"{name}_unit", "")
-        if unit == VARYING_UNIT:
-            stated[name] = own if isinstance(own, str) else ""
-        elif isinstance(beside, str) and beside:
-            stated[name] = beside
-    special: Mapping[str, str | Mapping[str, str]] = getattr(result, "_field_units", dict)()
-    return {**replace_joint_units(result, stated), **special}
-
-
-def replace_joint_units(result: object, units: Mapping[str, str]) -> dict[str, str]:
-    """Replace units of hinges and slides, such as ``N m or N``, by the unit of a result's joints.
-
-    Units are unchanged if the result does not contain units of joints, or has hinges and slides.
-    """
-    found: Any = getattr(result, "torque_units", None)
-    found = found or getattr(getattr(result, "statics", None), "torque_units", None)
-    common = getattr(result, "units", None)
-    if found:
-        common = find_common_units(found.values() if isinstance(found, Mapping) else found)
-    if not isinstance(common, JointUnits):
-        return dict(units)
-    replaced = dict(zip(astuple(MIXED_UNITS), astuple(common), strict=True))
-    return {name: replaced.get(unit, unit) for name, unit in units.items()}
-
-
 def _name_joints(result: object, name: str, value: object) -> object:
     """Return {joint: value} for a vector with a value per joint, else the value unchanged.
 
@@ -153,14 +111,18 @@ def describe_dataclass(value: object, unit: str = "") -> str | None:
     return text if len(text) <= MAX_TEXT_LENGTH else None
 
 
+def list_shown_fields(value: Any) -> list[str]:
+    """Return the names of the fields for a short text: key fields, then other public fields."""
+    public = [field.name for field in fields(value) if not field.name.startswith("_")]
+    return list(dict.fromkeys((*getattr(value, "_key_fields", ()), *public)))
+
+
 def _summarise_dataclass(value: object, unit: str) -> str:
     """Return the text of an object in a list: the simple fields that fit, key fields first."""
     if (text := describe_dataclass(value, unit)) is not None:
         return text
-    kind: Any = type(value)
     units, items = get_field_units(value), []
-    public = [field.name for field in fields(kind) if not field.name.startswith("_")]
-    for name in dict.fromkeys((*getattr(value, "_key_fields", ()), *public)):
+    for name in list_shown_fields(value):
         text = _describe_simple(getattr(value, name))
         if text is None or getattr(value, name) is None:
             continue

@@ -24,11 +24,11 @@ from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, forma
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import FrozenDict, freeze
 from pupper_analysis.base.notebook import (
-    get_field_units,
+    list_shown_fields,
     list_warnings,
-    replace_joint_units,
     zero_rounding_errors,
 )
+from pupper_analysis.base.units import get_field_units, replace_joint_units
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,8 +134,8 @@ class Result:
     def __repr__(self) -> str:
         name = type(self).__name__
         items = [f"{field}={_join_texts(value)}" for field, value in list_warnings(self)]
-        items += [f"{field}={shorten(getattr(self, field))}" for field in list_repr_fields(self)]
-        return f"{name}({join_items(items, MAX_REPR_LENGTH - len(name) - 2)})"
+        items += [f"{field}={shorten(getattr(self, field))}" for field in list_shown_fields(self)]
+        return f"{name}({_join_items(items, MAX_REPR_LENGTH - len(name) - 2)})"
 
     def _field_units(self) -> Mapping[str, str | Mapping[str, str]]:
         """Return {field: unit} of fields whose unit depends on other fields.
@@ -287,7 +287,7 @@ class Tabular(Result):
     def _column_units(self, columns: Iterable[str]) -> dict[str, str]:
         """Return {column: unit} of the columns with a unit: of the field of this name, or listed.
 
-        A listed column ``q *`` is the unit of all columns that start with ``q ``.
+        A listed unit of ``q *`` is the unit of all columns whose names start with ``q ``.
         """
         names = list(columns)
         # A column of units states the unit of each row.
@@ -354,7 +354,7 @@ def _shorten_dataclass(value: Any) -> str:
     """Return a short text of a result in a field: its class, and at most two simple fields."""
     simple = [
         name
-        for name in list_repr_fields(value)
+        for name in list_shown_fields(value)
         if isinstance(getattr(value, name), str | int | float | Enum)
     ]
     items = [f"{name}={shorten(getattr(value, name))}" for name in simple[:_MAX_NESTED_FIELDS]]
@@ -363,13 +363,7 @@ def _shorten_dataclass(value: Any) -> str:
     return f"{type(value).__name__}({', '.join(items)})"
 
 
-def list_repr_fields(value: Any) -> list[str]:
-    """Return the names of a result's fields for ``repr``: key fields, then other public fields."""
-    public = [field.name for field in fields(value) if field.name[0] != "_"]
-    return list(dict.fromkeys((*getattr(value, "_key_fields", ()), *public)))
-
-
-def join_items(items: Sequence[str], length: int) -> str:
+def _join_items(items: Sequence[str], length: int) -> str:
     """Join items by commas, as many as fit into ``length`` characters; dots replace the others."""
     text = ", ".join(items)
     num_kept = len(items)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, fields, is_dataclass
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 EARTH_GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]: the default of MuJoCo and of Pinocchio's URDF import."""
@@ -202,6 +202,42 @@ def units_of(kind: type) -> dict[str, str]:
         for name, unit in stated.items()
         if unit not in {DIMENSIONLESS_UNIT, VARYING_UNIT}
     }
+
+
+def get_field_units(result: object) -> dict[str, str | Mapping[str, str]]:
+    """Return {field: unit} of a result, ``1`` for ratios; empty for texts and unknown units.
+
+    A varying unit is in the field or property ``unit``. A field such as ``joint_error_unit``
+    contains the unit of ``joint_error``. Units of joint quantities are those of the result's
+    joints, if the result contains them. A unit {key: unit} belongs to the entries of a mapping.
+    """
+    kind: Any = type(result)
+    stated = {field.name: field.metadata.get("unit", "") for field in fields(kind)}
+    own = getattr(result, "unit", "")
+    for name, unit in stated.items():
+        beside = getattr(result, f"{name}_unit", "")
+        if unit == VARYING_UNIT:
+            stated[name] = own if isinstance(own, str) else ""
+        elif isinstance(beside, str) and beside:
+            stated[name] = beside
+    special: Mapping[str, str | Mapping[str, str]] = getattr(result, "_field_units", dict)()
+    return {**replace_joint_units(result, stated), **special}
+
+
+def replace_joint_units(result: object, units: Mapping[str, str]) -> dict[str, str]:
+    """Replace units of hinges and slides, such as ``N m or N``, by the unit of a result's joints.
+
+    Units are unchanged if the result does not contain units of joints, or has hinges and slides.
+    """
+    found: Any = getattr(result, "torque_units", None)
+    found = found or getattr(getattr(result, "statics", None), "torque_units", None)
+    common = getattr(result, "units", None)
+    if found:
+        common = find_common_units(found.values() if isinstance(found, Mapping) else found)
+    if not isinstance(common, JointUnits):
+        return dict(units)
+    replaced = dict(zip(astuple(MIXED_UNITS), astuple(common), strict=True))
+    return {name: replaced.get(unit, unit) for name, unit in units.items()}
 
 
 _ROUNDING_TOLERANCE = 1e-12
