@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
-from pupper_analysis.tools.stand.document import stance_document
+from pupper_analysis.tools.stand.document import describe_height, stance_document
 
 _OBJECTIVE_TEXTS = {
     Objective.MARGIN: "distance-of-the-com",
@@ -34,12 +34,9 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     blocks: tuple[doc.Block, ...] = (_make_coordinate_table(study.best), *stand_document.blocks)
     # The largest motor load is a detail: line 1 states it if it is the objective.
     load, *others = stand_document.findings
-    heights = [
-        line for line in others if isinstance(line, doc.Text) and line.short.startswith("height ")
-    ]
-    others = [line for line in others if line not in heights]
-    line = heights[0] if heights else task_text(study.best.stand.task)
-    coordinates = replace(line, short=_shorten_coordinates(study.best))
+    stance = describe_height(study.stance) or task_text(study.best.stand.task)
+    others = [line for line in others if get_english(line) != stance.en]
+    coordinates = replace(stance, short=_shorten_coordinates(study.best))
     more = [line for line in stand_document.details if get_english(line) != coordinates.en]
     step = _make_next_step(study, stand_document.next_step)
     messages: tuple[doc.Words, ...] = (_make_search_line(study), coordinates, *others)

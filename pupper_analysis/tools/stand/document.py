@@ -165,7 +165,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *(gains if qualified else ()),
             *(soft if skipped else ()),
             *_list_findings(stance),
-            *_describe_height(stance),
+            *_describe_base(stance),
         ),
         limits=()
         if qualified
@@ -297,18 +297,25 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     )
 
 
-def _describe_height(stance: Stance) -> Iterable[doc.Words]:
+def _describe_base(stance: Stance) -> Iterable[doc.Words]:
     """Yield the stance with the base height, or that the base is bolted; nothing if unknown."""
-    height = stance.stand.task.height
     if _is_base_bolted(stance):
         yield text("base-is-bolted")
-    elif height is not None:
-        yield text(
-            "base-height-of-stance",
-            task=task_text(stance.stand.task),
-            height=f"{1e3 * height:.1f}",
-            ground=ground_word(stance.stand.depths.values(), stance.verification),
-        )
+    elif (height := describe_height(stance)) is not None:
+        yield height
+
+
+def describe_height(stance: Stance) -> doc.Text | None:
+    """Return the text of the stance with the base height; None if the task has no height."""
+    height = stance.stand.task.height
+    if height is None:
+        return None
+    return text(
+        "base-height-of-stance",
+        task=task_text(stance.stand.task),
+        height=f"{1e3 * height:.1f}",
+        ground=ground_word(stance.stand.depths.values(), stance.verification),
+    )
 
 
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
