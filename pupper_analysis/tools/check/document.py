@@ -100,15 +100,19 @@ def _describe_placed_finding(check: RepositoryCheck, remark: Remark) -> doc.Word
     place = doc.Name(relative_to_root(remark.place or remark.file))
     finding = _describe_remark(remark)
     if _is_audit_rule(remark):
-        alike = [one for one in check.remarks if one.finding == remark.finding]
+        alike = [item for item in check.remarks if item.finding == remark.finding]
         finding = summarise_finding(remark.kind, remark.diagnostic, len(alike) - 1)
     return text("first-to-fix", place=place, finding=finding)
 
 
 def _find_first_warning(check: RepositoryCheck) -> Remark | None:
     """Return the first new warning of a check; None without warnings."""
-    warnings = (one for one in check.remarks if not one.known and one.severity is Severity.WARNING)
-    return next(warnings, None)
+    return next(filter(_is_new_warning, check.remarks), None)
+
+
+def _is_new_warning(remark: Remark) -> bool:
+    """Return True for a warning that the baseline does not list."""
+    return not remark.known and remark.severity is Severity.WARNING
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
@@ -214,10 +218,7 @@ def _name_verdict(check: RepositoryCheck, pair: PairCheck) -> Text:
     """Return the verdict of a pair: FAILED, WARNINGS for new warnings that pass, or OK."""
     if pair.failures:
         return text("FAILED").with_mark("bad")
-    suspect = any(
-        not remark.known and remark.severity is Severity.WARNING
-        for remark in list_pair_remarks(pair, check.remarks)
-    )
+    suspect = any(map(_is_new_warning, list_pair_remarks(pair, check.remarks)))
     return text("audit-warnings" if suspect else "all-ok").with_mark("warn" if suspect else "good")
 
 
