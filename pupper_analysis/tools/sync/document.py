@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from pupper_analysis.models.efforts import is_placeholder_number
 from pupper_analysis.present import document as doc
@@ -92,8 +93,8 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
     yield text("differences-listed-count", count=len(sync.differences))
     if sync.left_by_side:
         side = _find_better_side(sync)
-        unwritten = [one for one in sync.differences if one.kind in UNWRITTEN_KINDS]
-        kinds = dict.fromkeys(one.kind for one in unwritten)
+        differing = dict.fromkeys(difference.kind for difference in sync.differences)
+        kinds = [kind for kind in differing if kind in UNWRITTEN_KINDS]
         other = "urdf" if side == "mjcf" else "mjcf"
         yield text(
             "differences-left-by-side",
@@ -157,8 +158,7 @@ def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
     by_mass: dict[object, list[object]] = {}
     for difference in differences:
         if difference.kind == "mass":
-            values = difference.urdf, difference.mjcf
-            value, other = values if side == "urdf" else values[::-1]
+            value, other = _get_values(difference, side)
             by_mass.setdefault(value, []).append(other)
     repeated = {
         mass
@@ -167,9 +167,15 @@ def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
     }
     return sum(
         _is_placeholder(difference, side)
-        or (difference.kind == "mass" and getattr(difference, side) in repeated)
+        or (difference.kind == "mass" and _get_values(difference, side)[0] in repeated)
         for difference in differences
     )
+
+
+def _get_values(difference: Difference, side: str) -> tuple[Any, Any]:
+    """Return the values of a difference in the file ``side`` and in the other file."""
+    values = difference.urdf, difference.mjcf
+    return values if side == "urdf" else values[::-1]
 
 
 _MIN_REPEATED_MASSES = 3
@@ -187,9 +193,7 @@ def _is_placeholder(difference: Difference, side: str) -> bool:
     The value is 1, 2 or 5 times a power of ten from 100 on, and much larger than a positive value
     in the other file that is no such number.
     """
-    values = {"urdf": difference.urdf, "mjcf": difference.mjcf}
-    value = values.pop(side)
-    (other,) = values.values()
+    value, other = _get_values(difference, side)
     if difference.kind not in ("effort", "mass") or not (
         isinstance(value, float | int) and isinstance(other, float | int)
     ):
