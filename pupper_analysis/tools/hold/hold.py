@@ -553,7 +553,7 @@ def hold_posture(
         )
     return Hold(
         name=robot.name,
-        hangs=_has_legs(robot),
+        hangs=_hangs(robot),
         posture=posture,
         units=list_position_units(robot),
         tool=point,
@@ -593,8 +593,8 @@ def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | 
     return None
 
 
-def _has_legs(robot: Robot) -> bool:
-    """Return True if the base is free in the MJCF, or by default for the URDF."""
+def _hangs(robot: Robot) -> bool:
+    """Return True if the base is free in the MJCF; without MJCF, if it carries several limbs."""
     description = robot.description
     if description.converted == "mjcf":
         return has_limbs(UrdfTree.of(description.urdf), is_floating=False)
