@@ -446,7 +446,8 @@ def _complete_pair_command(context: click.Context, error: ModelError) -> str:
     """
     from pupper_analysis.cli.next_step import complete_pair_command
 
-    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    params = context.command.params
+    arguments = {param.name for param in params if isinstance(param, click.Argument)}
     urdf, mjcf = context.params.get("urdf"), context.params.get("mjcf")
     if not arguments >= {"urdf", "mjcf"} or urdf is None or mjcf is None:
         return ""

@@ -244,8 +244,8 @@ def _select_next_step(comparison: Comparison) -> doc.NextStep:
     """
     if has_inverted_urdf_range(comparison.differences):
         return doc.NextStep("audit", (comparison.urdf, "--fix"), robot_typed=False)
-    writable = [one for one in comparison.differences if one.kind not in UNWRITTEN_KINDS]
-    if not comparison.agree and (writable or not comparison.differences):
+    kinds = {difference.kind for difference in comparison.differences}
+    if not comparison.agree and (not kinds or kinds - {*UNWRITTEN_KINDS}):
         return doc.NextStep("sync")
     if comparison.refusal is not None:
         return doc.NextStep("audit", (comparison.mjcf,), robot_typed=False)
