@@ -203,10 +203,11 @@ def make_contacts_in(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
-    """Create contacts like `make_contacts`, and check the assumption of level ground.
+    """Create the contacts of a configuration (`make_contacts`), and check that these are level.
 
-    A configuration does not contain the ground. By default all contact points carry load, with
-    upward normals. The check applies if ``contacts`` is None and a contact point has no normal.
+    A configuration does not contain the ground. By default the contact points of `make_contacts`
+    carry load, with upward normals. The check applies if ``contacts`` is None and a contact point
+    has no normal.
 
     Raises:
         UnknownNameError: If a contact point is unknown.
@@ -214,19 +215,23 @@ def make_contacts_in(
             (`MAX_DEFAULT_INCLINATION`), or as for `make_contacts`.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
-    if contacts is not None or not carrying.feet:
-        return carrying
-    if normals is not None and all(foot in normals for foot in carrying.feet):
-        return carrying
+    have_normals = normals is not None and all(foot in normals for foot in carrying.feet)
+    if contacts is None and carrying.feet and not have_normals:
+        _check_level_ground(carrying, config)
+    return carrying
+
+
+def _check_level_ground(carrying: Contacts, config: Configuration) -> None:
+    """Raise a ConfigurationError if the contact points are not on level ground."""
     points = carrying.points(config)
     heights = points[:, 2].tolist()
     lowest, highest = min(heights), max(heights)
-    if highest - lowest <= BALANCE_TOLERANCE:
-        return carrying
+    if highest - lowest <= BALANCE_TOLERANCE:  # saves the distances of most stands
+        return
     distances = np.linalg.norm(points[:, None, :2] - points[:, :2], axis=2)
     most = max(BALANCE_TOLERANCE, MAX_DEFAULT_INCLINATION * float(distances.max()))
     if highest - lowest <= most:
-        return carrying
+        return
     feet = carrying.feet
     low = [foot for foot, height in zip(feet, heights, strict=True) if height <= lowest + most]
     problem = diagnose(
