@@ -120,8 +120,13 @@ _CURVE_HALF_LENGTH = 6
 damping over the stiffness. Chosen, not tuned."""
 
 _NUM_LOWER_POINTS = 3
-"""Number of points of the plot from the least stable stiffness to the other points, if the former
-is smaller. Chosen, not tuned."""
+"""Number of additional points of the plot, from the least stable stiffness up to the other points.
+Chosen, not tuned."""
+
+_MAX_LOWER_RATIO = 2.0**-0.005
+"""Upper bound of the least stable stiffness, divided by the lowest of the other points [1], with
+which there are additional points. Chosen, not tuned: the ratio of neighbouring points is
+`_CURVE_RATIO`."""
 
 
 @dataclass(frozen=True)
@@ -505,7 +510,7 @@ def _choose_curve_factors(least: float) -> Array:
     """
     powers = np.arange(-_CURVE_HALF_LENGTH, _CURVE_HALF_LENGTH + 1, dtype=float)
     curve: Array = _CURVE_RATIO**powers
-    if 0 < least < curve[0] / _CURVE_RATIO**0.01:
+    if 0 < least < _MAX_LOWER_RATIO * curve[0]:
         lower = np.geomspace(least, curve[0], _NUM_LOWER_POINTS + 1)[:-1]
         curve = np.concatenate([lower, curve])
     return curve
