@@ -49,13 +49,26 @@ def freeze(value: Any) -> Any:
     return value
 
 
-def freeze_fields(instance: object, *names: str) -> None:
-    """Make attributes of an instance read-only in place, as by `freeze`; skip missing attributes.
+class ReadOnlyFields:
+    """Base class of dataclasses whose fields, if arrays or dictionaries, are read-only (`freeze`).
 
-    Needed after pickling, too: NumPy restores arrays as writeable.
+    The fields are also read-only after unpickling: NumPy restores arrays as writeable.
     """
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, *vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        ReadOnlyFields.__post_init__(self)
+
+
+def freeze_fields(instance: object, *names: str) -> None:
+    """Make attributes of an instance read-only in place (`freeze`); skip missing attributes."""
     own = vars(instance)
-    own.update({name: freeze(own[name]) for name in names if name in own})
+    for name in names:
+        if name in own and (frozen := freeze(own[name])) is not own[name]:
+            own[name] = frozen
 
 
 def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
-from pupper_analysis.base.frozen import FrozenDict, freeze
+from pupper_analysis.base.frozen import FrozenDict, ReadOnlyFields
 from pupper_analysis.base.notebook import (
     list_shown_fields,
     list_warnings,
@@ -102,7 +102,7 @@ shown completely.
 """
 
 
-class Result:
+class Result(ReadOnlyFields):
     """Base class of results. Fields that are dictionaries or arrays are read-only.
 
     Arrays in a tuple or list are writeable. ``repr`` is short: long arrays and lists are
@@ -120,16 +120,6 @@ class Result:
         # The decorator of a dataclass writes a __repr__, unless the class itself has one.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
         cls.__doc__ = _add_inherited_fields(cls)
-
-    def __post_init__(self) -> None:
-        attributes = vars(self)
-        for name, value in attributes.items():
-            if type(value) is dict or (type(value) is np.ndarray and value.flags.writeable):
-                attributes[name] = freeze(value)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        Result.__post_init__(self)  # unpickled arrays are writeable
 
     def __repr__(self) -> str:
         name = type(self).__name__

@@ -24,14 +24,14 @@ import pinocchio as pin
 from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.base.frozen import freeze_fields
+from pupper_analysis.base.frozen import ReadOnlyFields
 
 Direction = tuple[float, float, float]
 """Vector or point (x, y, z) as three floats, for scalar arithmetic."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(ReadOnlyFields):
     """Rigid transformation x = position + rotation x', from the frame with this pose to its parent.
 
     Attributes:
@@ -41,13 +41,6 @@ class Pose:
 
     position: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, "position", "rotation")
-
-    def __setstate__(self, state: dict[str, Array]) -> None:
-        vars(self).update(state)
-        self.__post_init__()
 
     def __mul__(self, other: Pose) -> Pose:
         return Pose(self.point(other.position), self.rotation @ other.rotation)

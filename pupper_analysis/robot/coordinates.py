@@ -21,7 +21,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,7 +31,7 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.frozen import freeze_fields
+from pupper_analysis.base.frozen import ReadOnlyFields
 from pupper_analysis.models.mjcf import list_free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 
@@ -54,7 +53,7 @@ def normalise_quaternion(qpos: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class PinocchioConvention:
+class PinocchioConvention(ReadOnlyFields):
     """Maps between public coordinates and the coordinates of a Pinocchio model.
 
     Public coordinates are MuJoCo's, with the joints in actuator order.
@@ -74,13 +73,6 @@ class PinocchioConvention:
     q_index: IntArray
     v_index: IntArray
     unbounded: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, "q_index", "v_index", "unbounded")
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.__post_init__()
 
     @staticmethod
     def from_model(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
@@ -216,7 +208,7 @@ class PinocchioConvention:
 
 
 @dataclass(frozen=True, eq=False)
-class MujocoConvention:
+class MujocoConvention(ReadOnlyFields):
     """Index maps between public coordinates and the coordinates of a MuJoCo model.
 
     Public coordinates are MuJoCo's, with the joints in actuator order. ``data.qpos[qpos_index]`` is
@@ -233,13 +225,6 @@ class MujocoConvention:
     qpos_index: IntArray
     qvel_index: IntArray
     actuator_index: IntArray
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, "qpos_index", "qvel_index", "actuator_index")
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.__post_init__()
 
     @staticmethod
     def from_model(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
