@@ -34,9 +34,9 @@ class BestStance(Tabular):
     Attributes:
         objective: Objective of the search.
         stand: Stand of the best stance, on rigid ground.
-        value: Objective of ``stand``: peak torque / effort limit on MuJoCo's soft ground, CoM
-            margin, or payload [1, m or kg].
-        nominal_value: Objective of ``nominal``, with the same meaning as ``value`` [1, m or kg].
+        value: Objective of ``stand``: peak torque / effort limit on MuJoCo's soft ground [1], CoM
+            margin [m], or payload [kg].
+        nominal_value: Objective of ``nominal``, with the meaning and unit of ``value``.
         nominal: Stand of the initial task (by default the nominal stand).
         payload: Payload limit of ``stand``; None for the other objectives.
         coordinates: Coordinates of the best stance [m or rad] in world axes: base height; x and y
