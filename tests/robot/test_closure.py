@@ -365,6 +365,8 @@ def test_configuration_that_violates_its_loops_is_refused(tmp_path: Path) -> Non
     for contacts in (tuple(robot.contacts), ()):
         with pytest.raises(pa.ConfigurationError, match="opens coupled joints"):
             pa.gravity_compensation(pa.Configuration(robot, qpos), contacts)
+    with pytest.raises(pa.ConfigurationError):  # the default contacts are not level, either
+        pa.gravity_compensation(pa.Configuration(robot, qpos))
 
 
 @pytest.mark.slow
