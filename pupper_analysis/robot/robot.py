@@ -739,15 +739,16 @@ class Robot(EngineModels):
             problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))
             raise ConfigurationError("robot", problem)
 
-    def check_floating(self, code: str = "base-is-fixed") -> None:
+    def check_floating(self, code: str = "base-is-fixed", **values: str) -> None:
         """Raise an error if the base is fixed: such a robot cannot stand.
 
         Args:
             code: Code of the diagnostic, with the values ``robot``, ``why`` and ``option``. A tool
                 passes its own code, whose text states what the tool accepts.
+            **values: Further values of the diagnostic.
 
         Raises:
-            ConfigurationError: If the base is fixed.
+            ConfigurationError: If the base is fixed (``code``), or falls (`check_base_is_held`).
             ModelError: If the base is fixed, or the robot has no feet, due to a fault in a model
                 file (`MODEL_FAULT_CODES`).
         """
@@ -761,7 +762,12 @@ class Robot(EngineModels):
             self.check_base_is_held()
             option = is_command_line()
             problem = diagnose(
-                code, robot=self.name, why=why, option=option, advised=option and why is None
+                code,
+                robot=self.name,
+                why=why,
+                option=option,
+                advised=option and why is None,
+                **values,
             )
             raise ConfigurationError("robot", problem)
 

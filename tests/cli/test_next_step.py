@@ -202,6 +202,24 @@ def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(
     assert err.splitlines()[-1] == f"  next: pupper-analysis {expected.format(path=path)}"
 
 
+@pytest.mark.parametrize("typed", ["fit --plan 3 -o plan.csv", "heat", "gains", "workspace"])
+def test_base_on_undriven_joints_is_refused_by_its_joints(
+    typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The base of a hopper is neither free nor fixed: it falls on a slide without motor."""
+    path = tmp_path / "hopper.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="torso"><joint name="rise" type="slide" axis="0 0 1"/>'
+        '<inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>'
+        f"{_LIMB.format(name='limb', x=0)}</body></worldbody>"
+        '<actuator><motor joint="jlimb"/></actuator></mujoco>'
+    )
+    name, *options = typed.split()
+    status, _, err = run_command(capfd, name, str(path), *options)
+    assert status == 2
+    assert "neither a free nor a fixed base: its base falls on the joints rise" in err
+
+
 @pytest.mark.parametrize(
     "typed",
     ["stand", "push", "heat --motor mit-mini-cheetah", "live --no-browser",

@@ -20,7 +20,6 @@ from pupper_analysis.base.errors import (
     MeasurementError,
     PupperAnalysisError,
 )
-from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.inputs import find_similar_files, path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_unused
@@ -302,15 +301,17 @@ def _check_stands(
         has_kp: Whether kp is typed.
     """
     try:
-        robot.check_floating("stands-of-fixed-base")
+        robot.check_floating("stands-of-fixed-base", mode=mode)
     except ConfigurationError as error:
-        if isinstance(error.problem, Diagnostic) and not error.problem.values["why"]:
+        problem = error.problem
+        if (
+            isinstance(problem, Diagnostic)
+            and problem.code == "stands-of-fixed-base"
+            and not problem.values["why"]
+        ):
             omitted = (*_MEASURING_OPTIONS, "--stands", "--weight")
             step = NextStep("fit", ("--log", "motion.csv"), omitted=omitted)
-            values = FrozenDict({**error.problem.values, "mode": mode})
-            refused = ConfigurationError("robot", replace(error.problem, values=values))
-            refused.add_note(complete_command(step))
-            raise refused from None
+            error.add_note(complete_command(step))
         raise
     if (planned := record or stands) is not None:
         plan = record or Path("plan.csv")

@@ -129,7 +129,12 @@ def _check_base(robot: Robot, motors: tuple[str, ...]) -> None:
     try:
         robot.check_floating("heat-of-fixed-base")
     except ConfigurationError as error:
-        if isinstance(error.problem, Diagnostic) and not error.problem.values["why"]:
+        problem = error.problem
+        if (
+            isinstance(problem, Diagnostic)
+            and problem.code == "heat-of-fixed-base"
+            and not problem.values["why"]
+        ):
             with_contacts(robot, {"base": Weld()})  # refuses a base that cannot be welded
             texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
             weld = ("--contact", "base=weld")

@@ -189,7 +189,7 @@ def record_calls(
     shared = "pupper_analysis.cli.shared"
     replace(f"{command}.print_robot_notes")
     monkeypatch.setattr(f"{command}.parse_gain", lambda name, words, robot: words)
-    robot = SimpleNamespace(name="robot", check_floating=lambda _: None)
+    robot = SimpleNamespace(name="robot", check_floating=lambda _, **__: None)
     replace(f"{command}.load_selected_robot", robot)
     replace(f"{command}._select_next_step")
     for name in ("show_results", "write_page", "confirm_written", "finish_command"):
