@@ -69,7 +69,10 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 
 def has_plot(result: Any) -> bool:
-    """Return whether `plot_result` draws a result, without drawing."""
+    """Return whether `plot_result` draws a result, without drawing.
+
+    True as well if no document is possible without the robot: it may have plots.
+    """
     import_module("pupper_analysis.present.stand_plots")  # registers its plots
     load_builder(type(result))
     if draw_result.dispatch(type(result)) is not draw_result.dispatch(object):

@@ -797,10 +797,14 @@ class Robot(EngineModels):
         self.compute_once(_check_bodies)
 
     def check_total_mass(self, urdf: str | Path) -> None:
-        """Raise an error with the path of the URDF if the URDF's model has no mass.
+        """Raise an error unless the total mass of the URDF's model is positive.
+
+        Args:
+            urdf: Path of the URDF, for the error.
 
         Raises:
-            ModelError: If the total mass is zero, negative or not a number.
+            ModelError: If the total mass is zero, negative or not a number. For a negative mass,
+                the error names the body if possible (`check_bodies`).
         """
         if self.total_mass < 0:
             self.check_bodies()  # names the body with a negative mass
