@@ -16,16 +16,16 @@ import mujoco
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.attributes import TREE_ATTRIBUTES
-from pupper_analysis.models.loading import read_model, reader_of
+from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.models.spec_tree import find_free_base
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import FREE_JOINT, Joint, MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import group_actuators_by_joint, read_actuator_law
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.trees import without_shapes
 from pupper_analysis.tools.contract.facts import (
@@ -262,11 +262,8 @@ the URDF. A format without entry has the rank 0, and can be read as both."""
 
 def _read_as_urdf(source: JointSource) -> UrdfFile:
     """Read a model as a URDF; an MJCF is converted."""
-    reader = reader_of(source.path)
-    if reader is not None:
-        return reader.read_as_urdf(source.path)
-    if source.format == "urdf":
-        return read_urdf(source.path)
+    if source.format != "mjcf":
+        return read_as_urdf(source.path)
     # Imported late: only two models of the same format with different joints need a conversion.
     from pupper_analysis.prepare.convert.load import read_pair
 
@@ -275,14 +272,11 @@ def _read_as_urdf(source: JointSource) -> UrdfFile:
 
 def _read_as_mjcf(source: JointSource) -> MjcfFile:
     """Read a model as an MJCF; a URDF is converted without shapes, because joints are matched."""
-    reader = reader_of(source.path)
-    if reader is not None:
-        return reader.read_as_mjcf(source.path)
-    if source.format == "mjcf":
-        return read_mjcf(source.path)
+    if source.format != "urdf":
+        return read_as_mjcf(source.path)
     from pupper_analysis.prepare.convert.load import ModelPair  # see `_read_as_urdf`
 
-    urdf = read_urdf(source.path)
+    urdf = read_as_urdf(source.path)
     return ModelPair.from_file(replace(urdf, root=without_shapes(urdf.root))).mjcf
 
 
