@@ -249,7 +249,8 @@ class Pictured:
 class Tabular(Result):
     """Base class of results that are tables, for example with a row per joint or sample.
 
-    ``_units_of_columns`` contains {column: unit} of the columns that are no fields.
+    ``_units_of_columns`` contains {column: unit} of the columns that are no fields, and
+    {``"q *"``: unit} of all columns whose names start with ``q ``.
     """
 
     _units_of_columns: ClassVar[Mapping[str, str]] = {}
@@ -275,10 +276,7 @@ class Tabular(Result):
         return frame
 
     def _column_units(self, columns: Iterable[str]) -> dict[str, str]:
-        """Return {column: unit} of the columns with a unit: of the field of this name, or listed.
-
-        A listed unit of ``q *`` is the unit of all columns whose names start with ``q ``.
-        """
+        """Return {column: unit} of columns with a unit: in ``_units_of_columns``, or of a field."""
         names = list(columns)
         # A column of units states the unit of each row.
         units = {} if "unit" in names else get_field_units(self)

@@ -1,6 +1,7 @@
 """Stance files: the requirements of a stand task as TOML text, whose keys are command-line options.
 
-``--stance FILE`` of commands reads such files (`cli.stance_fields.read_stance_file`).
+``--stance FILE`` of commands reads such files, and results as JSON that contain a stand
+(`cli.stance_fields.read_stance_file`).
 """
 
 from __future__ import annotations
