@@ -739,7 +739,7 @@ class Robot(EngineModels):
             problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))
             raise ConfigurationError("robot", problem)
 
-    def check_floating(self, code: str = "base-is-fixed", **values: str) -> None:
+    def check_floating(self, code: str = "base-is-fixed", **values: Any) -> None:
         """Raise an error if the base is fixed: such a robot cannot stand.
 
         Args:
