@@ -249,8 +249,8 @@ class Pictured:
 class Tabular(Result):
     """Base class of results that are tables, for example with a row per joint or sample.
 
-    ``_units_of_columns`` contains {column: unit} of the columns that are no fields, and
-    {``"q *"``: unit} of all columns whose names start with ``q ``.
+    ``_units_of_columns`` contains {column: unit} of the columns that are no fields. The key
+    ``"q *"`` is for all columns whose names start with ``q`` and a space.
     """
 
     _units_of_columns: ClassVar[Mapping[str, str]] = {}

@@ -497,6 +497,25 @@ def test_modules_named_in_docstrings_exist() -> None:
             importlib.import_module(f"pupper_analysis.{name}")
 
 
+def test_inline_code_in_docstrings_is_complete() -> None:
+    """Code between double backquotes has no space at its ends, and its neighbours are spaces or
+    punctuation; else reStructuredText takes the backquotes as text."""
+    checked = 0
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                parts = (ast.get_docstring(node) or "").split("``")
+                place = f"{path}: {getattr(node, 'name', 'module')}"
+                assert len(parts) % 2 == 1, place
+                for before, code, after in zip(parts[:-1:2], parts[1::2], parts[2::2], strict=True):
+                    assert code, place
+                    assert code == code.strip(), f"{place}: {code!r}"
+                    assert re.search(r"(^|[\s('\"\[{</:=-])$", before), f"{place}: {code!r}"
+                    assert re.match(r"$|[^\w`]", after), f"{place}: {code!r}"
+                    checked += 1
+    assert checked > 3000
+
+
 def test_architecture_page_states_the_place_of_new_things() -> None:
     """For each subpackage, and for terms of the field: the first row with the term."""
     table = [row for row in rows("docs/explanation/architecture.md") if len(row) == 2]
