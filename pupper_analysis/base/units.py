@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, fields, is_dataclass
+from decimal import Decimal
 from functools import cache
 from typing import Any, Final
 
@@ -263,4 +264,5 @@ def round_down(limit: float, digits: int) -> float:
     if not limit or not math.isfinite(limit):
         return limit
     decimals = digits - 1 - math.floor(math.log10(limit) + _ROUNDING_TOLERANCE)
-    return float(f"{floor_within_rounding(limit * 10.0**decimals)}e{-decimals}")
+    # 10.0**decimals would overflow for a denormal limit.
+    return float(f"{floor_within_rounding(float(Decimal(limit).scaleb(decimals)))}e{-decimals}")

@@ -193,7 +193,7 @@ def test_largest_payload_is_rounded_down(mass: float, shown: str) -> None:
     assert round_down(0.579, 2) == 0.57
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1.0, 1e5])
+@pytest.mark.parametrize("scale", [1e-322, 1e-307, 1e-9, 1e-3, 1.0, 1e5, 1e307])
 @pytest.mark.parametrize("digits", [2, 3, 4])
 def test_limits_are_rounded_down_to_significant_digits(scale: float, digits: int) -> None:
     """Reference: Python's exact decimal arithmetic; 0 and infinity have no digits."""
