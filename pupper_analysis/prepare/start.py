@@ -18,6 +18,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
@@ -417,16 +418,21 @@ def _level_soles(
     points = list(robot.contact_radius)
     radii = np.array(list(robot.contact_radius.values()))
 
+    @lru_cache(maxsize=1)  # least_squares evaluates errors and derivative at the same positions
+    def configure(joints: bytes) -> Configuration:
+        """Return the configuration at joint positions, the bytes of an array (nu,) [rad, m]."""
+        return Configuration(robot, robot.make_qpos(np.frombuffer(joints)))
+
     def errors(joints: Array) -> Array:
         """Compute the contact points' heights, then the CoM's offset x, y if ``centred`` [m]."""
-        config = Configuration(robot, robot.make_qpos(joints))
+        config = configure(joints.tobytes())
         touching = config.foot_centres(points)
         com_offset = (config.center_of_mass() - touching.mean(axis=0))[: 2 * centred]
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
 
     def derivative(joints: Array) -> Array:
         """Compute the Jacobian of ``errors``, shape (number of errors, nu) [m/rad, 1]."""
-        config = Configuration(robot, robot.make_qpos(joints))
+        config = configure(joints.tobytes())
         touching = config.foot_twist_jacobians(points)[:, :3, 6:]
         rows = slice(2 * centred)
         com_offset = config.com_jacobian()[rows, 6:] - touching.mean(axis=0)[rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import shutil
@@ -16,6 +17,7 @@ import pytest
 import shapely
 
 import pupper_analysis as pa
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
@@ -242,6 +244,24 @@ def test_level_soles_have_the_requested_height_within_the_joint_limits(tmp_path:
         assert (joints >= robot.lower_limits).all()
         assert (joints <= robot.upper_limits).all()
     assert start._level_soles(robot, clip_to_limits(robot), 9.0, 0.05) is None
+
+
+def test_level_soles_are_searched_with_one_configuration_per_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Errors and derivative at the same joint positions share the forward kinematics."""
+    robot = load("v3")
+    visited: list[Array] = []
+
+    class CountedConfiguration(pa.Configuration):
+        def __init__(self, robot: pa.Robot, qpos: Array) -> None:
+            super().__init__(robot, qpos)
+            visited.append(self.qpos)
+
+    monkeypatch.setattr(start, "Configuration", CountedConfiguration)
+    assert start._level_soles(robot, clip_to_limits(robot), robot.stand_height, 0.05) is not None
+    assert len(visited) > 4
+    assert all((before != after).any() for before, after in itertools.pairwise(visited))
 
 
 def test_stands_are_not_searched_for_wheels(
