@@ -29,6 +29,7 @@ from pupper_analysis.tools.study.outcome import (
     format_column_label,
     pareto_front,
 )
+from pupper_analysis.tools.study.store import number_truth_values
 from pupper_analysis.tools.study.write import WrittenDesign
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
         yield text("designs-meet", **values)
         return
     (objective,) = outcome.objectives
-    best = outcome.front.iloc[0]
+    best = number_truth_values(outcome.front).iloc[0]
     number = 1 + list(outcome.table["design"]).index(best["design"])
     columns = [*outcome.variables, *(name for name in (objective,) if name in outcome.front)]
     yield text(
@@ -134,7 +135,7 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
     if not outcome.varying_metrics:
         return
     metric = outcome.varying_metrics[0]
-    values = outcome.table[metric].to_numpy(dtype=float)
+    values = number_truth_values(outcome.table)[metric].to_numpy(dtype=float)
     scale, unit = _find_shown_unit(metric, outcome.units)
     yield text(
         "range-of-metric",
@@ -350,7 +351,7 @@ def _make_row_table(
     present_columns = [name for name in columns if name in table]
     has_failures = "failure" in table and table["failure"].notna().any()
     rows: list[tuple[doc.Cell, ...]] = []
-    shown = table if len(table) <= MAX_TABLE_ROWS else table.head(MAX_TABLE_ROWS)
+    shown = number_truth_values(table.head(MAX_TABLE_ROWS))
     for _, row in shown.iterrows():
         cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
         for name in present_columns:

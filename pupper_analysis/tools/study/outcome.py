@@ -39,8 +39,8 @@ from pupper_analysis.tools.study.parameters import (
     LINK_STANCE_KINDS,
 )
 from pupper_analysis.tools.study.requirements import select_designs
-from pupper_analysis.tools.study.store import Store, require_library
-from pupper_analysis.tools.study.study import Study
+from pupper_analysis.tools.study.store import Store, number_truth_values, require_library
+from pupper_analysis.tools.study.study import Study, restore_truth_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,7 +112,7 @@ class StudyOutcome(Result):
         rests_on: Assumptions on which the stands depend: simulation of the published file, added
             servos.
         variables: {variable: values or distribution, as in the study file}.
-        table: A row per stored design of the study; truth values are 1 and 0.
+        table: A row per stored design of the study, as `Study.run` returns.
         units: {variable or metric: unit in ``table``}; empty for ratios and factors.
         designs: Number of designs of the study.
         measured: Summary of each metric.
@@ -197,15 +197,17 @@ def study_outcome(
         converted=study.base.description.converted,
         rests_on=list_stand_assumptions(study.base),
         variables={name: variable.to_dict() for name, variable in study.variables.items()},
-        table=table,
+        table=restore_truth_values(table),
         units={name: find_column_unit(name, study.base) for name in (*variables, *metrics)},
         designs=len(study),
         measured=tuple(_summarise_metric(table, name, spread_variables, study) for name in metrics),
         failures=_group_failures(table),
         objectives=objectives,
-        front=pareto_front(select_standing_designs(feasible), objectives)
-        if objectives and set(objectives) <= set(table)  # no column if no design has a value
-        else table.iloc[:0],
+        front=restore_truth_values(
+            pareto_front(select_standing_designs(feasible), objectives)
+            if objectives and set(objectives) <= set(table)  # no column if no design has a value
+            else table.iloc[:0]
+        ),
         requirements={item.text: int(item.is_met(table).sum()) for item in study.requirements},
         feasible=len(feasible),
     )
@@ -271,6 +273,7 @@ def compute_main_effects(
         {variable: fraction}, at least 0; 0 for a constant metric. NaN if the samples of a metric
         that varies have as many groups as designs.
     """
+    table = number_truth_values(table)
     measured_rows = table[np.isfinite(table[metric].to_numpy(float))]
     values = measured_rows[metric].to_numpy(float)
     varies = len(values) > 0 and measure_span(float(values.min()), float(values.max())) > 0
@@ -398,10 +401,11 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
     if not objectives:
         raise ConfigurationError("objectives", diagnose("no-objectives"))
     complete_rows = table.dropna(subset=list(objectives))
+    numbers = number_truth_values(complete_rows)
     columns = []
     for name, sense in objectives.items():
         columns.append(
-            OBJECTIVE_SIGNS[sense] * real_array(f"column {name!r}", complete_rows[name].to_numpy())
+            OBJECTIVE_SIGNS[sense] * real_array(f"column {name!r}", numbers[name].to_numpy())
         )
     costs = np.column_stack(columns)
     best = complete_rows[_find_unbeaten(costs)]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.tools.study.store import number_truth_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +83,7 @@ class Requirement:
         """
         if self.column not in table:
             return np.zeros(len(table), bool)
-        values = table[self.column].to_numpy(dtype=float)
+        values = number_truth_values(table[[self.column]])[self.column].to_numpy(dtype=float)
         met: NDArray[np.bool_] = ~np.isnan(values) & _COMPARISONS[self.comparison](
             values, self.limit
         )

@@ -207,3 +207,12 @@ def _column_type(pa: Any, name: str) -> Any:
     ``pa`` is the module ``pyarrow``, which is imported only if results are written or read.
     """
     return pa.string() if name in ("design", *FAILURE_COLUMNS) else pa.float64()
+
+
+def number_truth_values(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table of a study with the stored 1 and 0 in place of truth values.
+
+    Missing truth values are NaN.
+    """
+    columns = table.select_dtypes(["bool", "boolean"]).columns
+    return table.astype(dict.fromkeys(columns, float))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,14 +17,20 @@ import trimesh
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.base.results import to_json
 from pupper_analysis.models.mjcf import to_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.tools.study.design import DesignBuilder
+from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.outcome import list_stand_assumptions
+from pupper_analysis.tools.study.outcome import (
+    compute_main_effects,
+    list_stand_assumptions,
+    study_outcome,
+)
 from pupper_analysis.tools.study.parameters import (
     VariablePattern,
     find_moving_joints,
@@ -32,6 +39,8 @@ from pupper_analysis.tools.study.parameters import (
     with_ground_friction,
     without_visuals,
 )
+from pupper_analysis.tools.study.requirements import Requirement
+from pupper_analysis.tools.study.store import Store
 from pupper_analysis.tools.study.study import hash_designs, restore_truth_values
 from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
 from tests.support import slips
@@ -645,3 +654,41 @@ def test_truth_values_of_a_table_are_restored() -> None:
     partial = restore_truth_values(pd.DataFrame({"stands": [1.0, np.nan, 0.0]}))["stands"]
     assert partial.isna().tolist() == [False, True, False]
     assert partial.dropna().tolist() == [True, False]
+
+
+def test_pareto_front_main_effects_and_requirements_accept_truth_values() -> None:
+    """Reference: closed form, and the same table with the stored 1, 0 and missing values."""
+    stored = pd.DataFrame({"mass": [1.0, 1.0, 2.0, 2.0], "stands": [1.0, 0.0, np.nan, 0.0]})
+    table, objectives = restore_truth_values(stored), {"stands": "max", "mass": "max"}
+    front = pa.study.pareto_front(table, objectives)
+    assert front["mass"].tolist() == pa.study.pareto_front(stored, objectives)["mass"].tolist()
+    assert front["stands"].tolist() == [True, False]
+    effects = compute_main_effects(table, ["mass"], "stands", sampled=False)
+    assert effects == {"mass": pytest.approx(1 - 0.5 / (2 / 3))}  # squares within and in total
+    assert Requirement.parse("stands", text=True).is_met(table).tolist() == [True, *[False] * 3]
+
+
+def test_table_of_an_outcome_has_truth_values_where_a_metric_is_missing(tmp_path: Path) -> None:
+    """The table is that of the study; the report prints 1, 0 and "-". Reference: stored rows."""
+    study = pa.Study("v3", {"slope": [0.0, 0.1, 0.2]}, ["stands"], minimise=["stands"])
+    hashes = [name for names, _ in study.designs() for name in names]
+    missing = {"failure": "unreachable", "failed_metric": "stands", "reason": "no stand"}
+    rows = [{"stands": 1.0}, {"stands": 0.0}, missing]
+    store = Store(tmp_path)
+    with store.locked():
+        request = {"study": study.to_dict(), "digest": study.digest, "versions": {}}
+        store.write_request(request)
+        store.write(
+            [
+                {"design": name, "slope": 0.1 * number, **row}
+                for number, (name, row) in enumerate(zip(hashes, rows, strict=True))
+            ]
+        )
+    outcome = study_outcome(study, tmp_path)
+    pd.testing.assert_frame_equal(outcome.table, study.table(tmp_path))
+    assert outcome.table["stands"].dtype == "boolean"
+    written = json.loads(to_json(outcome.table.to_dict(orient="list")))
+    assert written["stands"] == [True, False, None]
+    assert outcome.front["stands"].tolist() == [True]
+    table = study_document(outcome).blocks[-1]
+    assert [cell.text for cell in (row[2] for row in table.rows)] == ["1", "0", "-"]
