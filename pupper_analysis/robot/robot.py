@@ -796,6 +796,11 @@ class Robot(EngineModels):
         """
         self.compute_once(_check_bodies)
 
+    def describe_masses(self) -> tuple[Quantity, Quantity]:
+        """Return the masses of URDF and MJCF [kg]; the same number if equal up to rounding."""
+        urdf, mjcf = self.total_mass, float(self.mj_model.body_subtreemass[0])
+        return Quantity(urdf, "kg"), Quantity(urdf if math.isclose(urdf, mjcf) else mjcf, "kg")
+
     def check_total_mass(self, urdf: str | Path) -> None:
         """Raise an error unless the total mass of the URDF's model is positive.
 

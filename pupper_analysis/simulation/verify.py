@@ -7,7 +7,6 @@ without a simulation.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -979,10 +978,7 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
     """
     if not residual > MAX_BALANCE_RESIDUAL_RATIO * weight:
         return []
-    masses = (float(robot.mj_model.body_subtreemass[0]), robot.total_mass)
-    if math.isclose(*masses):  # another quantity differs: show no rounding of the masses
-        masses = (masses[1], masses[1])
-    mjcf, urdf = (Quantity(mass, "kg") for mass in masses)
+    urdf, mjcf = robot.describe_masses()
     return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]
 
 

@@ -8,14 +8,15 @@ starts at the last stand; other initial guesses are tried as well.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
@@ -89,12 +90,17 @@ class BaseWorkspace(Tabular):
             ``yaw`` (rad, absolute), ``x``, ``y`` (m, of the base from the centre of the feet)}.
         limits: {direction: (reason for the lower end, reason for the upper end)}. Examples are
             joints at their limits and the reach of the legs.
+        mismatch: Message that the CoM of the MJCF is beside the CoM of the URDF, from which the
+            intervals are computed; None if both agree horizontally.
     """
+
+    _warnings: ClassVar[tuple[str, ...]] = ("mismatch",)
 
     name: str
     start: Stand
     intervals: dict[str, Interval] = field(metadata={"unit": "m or rad"})
     limits: dict[str, tuple[Diagnostic, Diagnostic]]
+    mismatch: Diagnostic | None = None
 
     def _field_units(self) -> dict[str, dict[str, str]]:
         """Return the unit of each direction in ``intervals``."""
@@ -171,7 +177,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     start = solve_stand(robot, task)
     robot = start.check(robot)
     _check_base_moves(robot)
-    intervals, limits = {}, {}
+    intervals, limits, ends = {}, {}, [start]
     for count, direction in enumerate(DIRECTIONS):
         report_progress("directions", count, len(DIRECTIONS))
         (low, lowest), (high, highest) = (
@@ -179,11 +185,43 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
             for sign in (-1.0, 1.0)
         )
         intervals[direction] = Interval(low, high)
+        ends += [lowest, highest]
         limits[direction] = (
             _describe_base_limit(robot, start, lowest, direction, low),
             _describe_base_limit(robot, start, highest, direction, high),
         )
-    return BaseWorkspace(name=robot.name, start=start, intervals=intervals, limits=limits)
+    return BaseWorkspace(
+        name=robot.name,
+        start=start,
+        intervals=intervals,
+        limits=limits,
+        mismatch=_describe_com_mismatch(robot, ends),
+    )
+
+
+_MAX_COM_DISTANCE = 5e-5
+"""Largest horizontal distance [m] between the CoMs of both files that is not reported: the accuracy
+of the ends in x and y, `BISECTION_RTOL` times the first step."""
+
+
+def _describe_com_mismatch(robot: Robot, stands: Iterable[Stand]) -> Diagnostic | None:
+    """Create the message that the CoM of MuJoCo's model is beside that of Pinocchio's in a stand.
+
+    The distance is horizontal, as the support polygon: equal factors on all masses have no effect.
+    """
+    base = robot.mj_model.body(robot.mj_base).id
+    distance = max(
+        math.dist(
+            robot.compute_kinematics(stand.qpos).subtree_com[base, :2],
+            Configuration(robot, stand.qpos).center_of_mass()[:2],
+        )
+        for stand in stands
+    )
+    if not distance > _MAX_COM_DISTANCE:
+        return None
+    urdf, mjcf = robot.describe_masses()
+    moved = Quantity(distance, "m")
+    return diagnose("range-of-two-robots", urdf=urdf, mjcf=mjcf, distance=moved)
 
 
 _LIMIT_DISTANCE = 0.01

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.workspace import (
+    _describe_com_mismatch,
     _solve_at,
     base_workspace,
     find_interval,
     reachable_heights,
 )
 from pupper_analysis.statics.support_polygon import com_margin
+from tests.support.legged import edit_pair, quadruped
 from tests.support.variants import load
 
 
@@ -23,6 +26,36 @@ def is_reached(robot: pa.Robot, task: pa.StandTask) -> bool:
         return pa.solve_stand(robot, task, explain=False).foot_error < 1e-9
     except pa.StanceUnreachableError:
         return False
+
+
+def test_com_of_the_mjcf_beside_that_of_the_urdf_is_reported(tmp_path: Path) -> None:
+    """Reference: a trunk of mass m, shifted by y, moves the CoM of the robot by y m / M.
+
+    A common factor on all masses moves no CoM, and no end of an interval.
+    """
+    pair = edit_pair(quadruped(tmp_path), {}, {"<compiler ": '<compiler settotalmass="99" '})
+    heavier = pa.load_robot(*pair)
+    start = pa.solve_stand(heavier)
+    assert heavier.mj_model.body_subtreemass[0] == pytest.approx(99)
+    assert _describe_com_mismatch(heavier, [start]) is None
+    trunk = heavier.mj_model.body("trunk")
+    shifted = pa.load_robot(*edit_pair(pair, {}, {r'(<inertial pos="\S+) \S+ ': r"\1 0.02 "}, 1))
+    message = _describe_com_mismatch(shifted, [start])
+    assert message is not None
+    expected = abs(0.02 - trunk.ipos[1]) * trunk.mass[0] / 99
+    assert message.values["distance"].value == pytest.approx(expected, rel=1e-6)
+    assert f"URDF {shifted.total_mass:.3f} kg, MJCF 99.000 kg, CoM " in message.short
+
+
+@pytest.mark.slow
+def test_workspace_of_different_files_contains_the_message(tmp_path: Path) -> None:
+    """`stand` says DISAGREES for these files; the workspace of equal files has no message."""
+    pair = quadruped(tmp_path)
+    assert base_workspace(pa.load_robot(*pair)).mismatch is None
+    edit_pair(pair, {}, {r'(<inertial pos="\S+) \S+ ': r"\1 0.02 "}, 1)
+    found = base_workspace(pa.load_robot(*pair))
+    assert found.mismatch is not None
+    assert repr(found).startswith("BaseWorkspace(mismatch='the files describe different robots")
 
 
 @pytest.mark.slow

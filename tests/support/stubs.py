@@ -435,7 +435,7 @@ def workspace() -> Any:
     joints = diagnose("workspace-ends-at-joint-limits", joints=["FL_knee", "FR_knee", "RL_knee"])
     reach = diagnose("workspace-ends-at-reach")
     limits = dict.fromkeys(intervals, (joints, reach))
-    return Stub(name="stub", start=STAND, intervals=intervals, limits=limits)
+    return Stub(name="stub", start=STAND, intervals=intervals, limits=limits, mismatch=None)
 
 
 def files() -> Any:

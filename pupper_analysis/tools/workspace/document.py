@@ -153,6 +153,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         (table, view_block(robot, workspace.start, None)),
         findings=(
             text("range-in-short", ranges=join_words(map(join_words, groups), "semicolon")),
+            *map(doc.diagnostic_text, filter(None, [workspace.mismatch])),
             text(
                 "workspace-limits",
                 limits=_join_limits(workspace),
@@ -169,11 +170,13 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
 
 
 def _select_next_step(workspace: BaseWorkspace) -> doc.NextStep:
-    """Return the command to suggest next.
+    """Return the command to suggest next: `crosscheck` if the CoMs of both files differ.
 
     If the base turns to the end of the search, links of the robot intersect: the range is computed
     again with a clearance between links.
     """
+    if workspace.mismatch is not None:
+        return doc.NextStep("crosscheck")
     codes = {limit.code for ends in workspace.limits.values() for limit in ends}
     if "workspace-ends-at-full-turn" in codes and workspace.start.task.self_clearance is None:
         return doc.NextStep("workspace", ("--self-clearance", "5mm"))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import NextStep, get_english
 from pupper_analysis.present.terminal import SafeConsole, print_head
 from pupper_analysis.tools.workspace.document import (
@@ -26,6 +26,18 @@ def test_height_without_range_is_not_printed_as_symmetric_about_zero() -> None:
     ranges = get_english(workspace_document(result).findings[0])
     assert "height 95.1 to 95.1 mm" in ranges
     assert "±95.1" not in ranges
+
+
+def test_files_with_different_com_are_reported_before_the_limits() -> None:
+    result = workspace()
+    urdf, mjcf = Quantity(4.664, "kg"), Quantity(3.17, "kg")
+    distance = Quantity(0.0075, "m")
+    result.mismatch = diagnose("range-of-two-robots", urdf=urdf, mjcf=mjcf, distance=distance)
+    head = io.StringIO()
+    print_head(SafeConsole(file=head, width=100), workspace_document(result))
+    words = "the files describe two robots: URDF 4.664 kg, MJCF 3.170 kg, CoM 7.5 mm apart"
+    assert head.getvalue().splitlines()[1].startswith(f"  {words}")
+    assert workspace_document(result).next_step == NextStep("crosscheck")
 
 
 def test_limits_of_each_direction_are_listed_with_their_links() -> None:
