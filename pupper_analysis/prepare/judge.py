@@ -152,8 +152,7 @@ def judge_simulation(
         *(() if published is None else published.causes),
     )
     if not any(cause.code in TIE_CODES for cause in causes):
-        ties = report_ties(robot) if loaded.floating else report_posture_ties(loaded, joints)
-        remarks = (*ties, *remarks)
+        remarks = (*_report_world_ties(robot, joints), *remarks)
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     # With given gains, the run from the keyframe is information only.
     if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):
@@ -253,6 +252,27 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     if any(robot.contacts[foot].sliding_friction > 0 for foot in feet):
         return None
     return diagnose("feet-without-friction", feet=feet)
+
+
+def describe_ties(robot: Robot, stand: Stand) -> tuple[Diagnostic, ...]:
+    """Describe the constraints of the file that tie the robot to the world, as in a verdict.
+
+    Messages have the severity ERROR if the unmodified file keeps the stand only with these
+    constraints, or if these move a keyframe of a robot with a fixed base to another posture.
+    """
+    joints = stand.qpos[-robot.nu :]
+    loaded = get_loaded_robot(robot)
+    moved = None if loaded.floating else describe_violated_keyframe(loaded, joints)
+    return (*filter(None, [moved]), *_report_world_ties(robot, joints))
+
+
+def _report_world_ties(robot: Robot, joints: Array) -> tuple[Diagnostic, ...]:
+    """Report the ties to the world of a free base, or of a link of a robot with a fixed base.
+
+    ``joints`` are the joint positions of the stand or posture, shape (nu,) [rad, m].
+    """
+    loaded = get_loaded_robot(robot)
+    return report_ties(robot) if loaded.floating else report_posture_ties(loaded, joints)
 
 
 def describe_violated_keyframe(

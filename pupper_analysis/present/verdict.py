@@ -40,6 +40,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.simulation.verdict import (
     IMPOSSIBLE_CODES,
+    TIE_MESSAGE_CODES,
     TWO_ROBOTS_CODE,
     UNKNOWN_CODES,
     Ending,
@@ -152,6 +153,24 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 _QUALIFIED_KEY = "HOLDS with feed-forward"
 """Key of the verdict that the stand holds only with gravity compensation."""
+
+
+def split_ties(ties: Iterable[Diagnostic]) -> tuple[str, tuple[Text, ...], tuple[Text, ...]]:
+    """Split messages about ties to the world (`describe_ties`) into failures and conditions.
+
+    Returns:
+        Word of the verdict of a stand with these failures, as a key of the text catalogue, empty
+        without a failure; texts of the failures; texts of the other messages.
+    """
+    errors = [tie for tie in ties if tie.severity is Severity.ERROR]
+    others = [tie for tie in ties if tie.severity is not Severity.ERROR]
+    held = not TIE_MESSAGE_CODES.isdisjoint(tie.code for tie in errors)
+    word = ("FAILS" if held else "DISAGREES") if errors else ""
+    return (
+        word,
+        tuple(map(diagnostic_text, errors)),
+        tuple(diagnostic_text(tie, "good") for tie in others),
+    )
 
 
 def _disagrees(verdict: Verdict) -> bool:

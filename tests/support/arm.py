@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -135,3 +136,44 @@ def tip_position(turn: float, shoulder: float, elbow: float, slide: float) -> ND
     out = UPPER * np.cos(shoulder) + reach * np.cos(ahead)
     up = -UPPER * np.sin(shoulder) - reach * np.sin(ahead)
     return np.array([out * np.cos(turn), out * np.sin(turn), 0.5 + up])
+
+
+ANCHOR = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
+"""Posture [rad, m] in which the hand of a tied arm is tied to the world."""
+
+
+def write_tied_arm(
+    folder: Path,
+    kind: str,
+    offsets: dict[str, float],
+    servos: str = _SERVOS,
+    ctrl: bool = True,
+    base_mass: float = 0.0,
+) -> Robot:
+    """Load the arm with a tied hand, and a keyframe that differs from `ANCHOR` by ``offsets``."""
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(MJCF))
+    for name, position in ANCHOR.items():
+        data.joint(name).qpos = position
+    mujoco.mj_kinematics(data.model, data)
+    hand = data.body("hand")
+    pose = " ".join(map(repr, (*hand.xpos.tolist(), *hand.xquat.tolist())))
+    tie = (
+        f'<weld name="bolt" body1="world" body2="hand" relpose="{pose}"/>'
+        if kind == "weld"
+        else '<connect name="bolt" site1="tip" site2="hook"/>'
+    )
+    hook = " ".join(map(repr, tip_position(*ANCHOR.values()).tolist()))
+    start = {name: position + offsets.get(name, 0.0) for name, position in ANCHOR.items()}
+    commands = f'ctrl="{" ".join(str(start[name]) for name in ORDER)}"' if ctrl else ""
+    key = f'<key name="home" qpos="{" ".join(map(str, start.values()))}" {commands}/>'
+    text = MJCF.replace(_SERVOS, servos)
+    text = text.replace("<worldbody>", f'<worldbody><site name="hook" pos="{hook}"/>')
+    if base_mass:  # a body without mass cannot be welded
+        inertial = f'<inertial pos="0 0 0" mass="{base_mass}" diaginertia="0.01 0.01 0.01"/>'
+        text = text.replace('<body name="base">', f'<body name="base">{inertial}')
+    end = f"<equality>{tie}</equality><keyframe>{key}</keyframe></mujoco>"
+    return load_arm(folder, mjcf=text.replace("</mujoco>", end))
+
+
+SOFT_SERVOS = "".join(f'<position joint="{name}" kp="2" kv="5"/>' for name in ORDER)
+"""Servos that do not hold the arm, for `write_tied_arm`."""

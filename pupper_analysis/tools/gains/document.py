@@ -20,6 +20,7 @@ from pupper_analysis.present.verdict import (
     clause_text,
     make_replaced_clauses,
     make_servo_clause,
+    split_ties,
 )
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.robot import Robot
@@ -37,16 +38,19 @@ the verdict's text, if no mass was assumed}."""
 @build_document.register(GainStudy)
 def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of a gain study: verdict, tables of the bounds, and plot."""
+    _, broken, ties = split_ties(study.ties)
     gains, failures = _describe_stable_gains(study), tuple(_describe_failures(study))
+    failures = (*broken, *_order_failures(study, gains, failures))
     return doc.Document(
         text("gains"),
         doc.Name(study.name),
         (_make_class_table(study), _make_bound_table(study), gain_plot(study)),
         passed=study.passed,
         verdict=text(_select_verdict(study)),
-        failures=_order_failures(study, gains, failures),
+        failures=failures,
         findings=(
-            *(() if failures else (gains,)),
+            *(() if gains in failures else (gains,)),
+            *ties,
             *_order_conditions(study, failed=bool(failures)),
             *_describe_added_servos(study),
         ),
@@ -63,7 +67,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 def _select_verdict(study: GainStudy) -> str:
     """Return the catalogue key of the verdict."""
     if study.stands_stably and not study.passed:
-        return "UNKNOWN"
+        return split_ties(study.ties)[0] or "UNKNOWN"
     return _VERDICT_KEYS[study.worst.stable, study.stands_stably]
 
 

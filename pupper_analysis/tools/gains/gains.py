@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
@@ -32,7 +32,7 @@ from pupper_analysis.base.units import (
     combine_joint_units,
     select_joint_units,
 )
-from pupper_analysis.prepare.judge import describe_missing_masses
+from pupper_analysis.prepare.judge import describe_missing_masses, describe_ties
 from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
@@ -238,6 +238,7 @@ class GainStudy(Tabular):
         recommended_kp_factor: Recommended factor on the stiffness; None without a recommendation.
         recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
         missing_masses: Message about links with assumed masses; None if the files state all.
+        ties: Messages about constraints of the file that tie the robot to the world.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("passed", "least_kp", "largest_kp", "largest_kd")
@@ -271,6 +272,7 @@ class GainStudy(Tabular):
     recommended_kp_factor: float | None = field(metadata={"unit": "1"})
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
     missing_masses: Diagnostic | None = None
+    ties: tuple[Diagnostic, ...] = ()
 
     def _columns(self) -> dict[str, Array]:
         """Return {column: values, shape (n,)} of the curve: factors on stiffness and damping."""
@@ -285,13 +287,14 @@ class GainStudy(Tabular):
         """Whether the robot stands stably with the present gains, within torque and encoder bounds.
 
         False also if the robot is predicted not to stand without feed-forward, if an invalid servo
-        of the file was replaced, or if the mass of a link was assumed.
+        of the file was replaced, if the mass of a link was assumed, or if `ties` contains an error.
         """
-        return self.stands_stably and self.missing_masses is None
+        tied = any(tie.severity is Severity.ERROR for tie in self.ties)
+        return self.stands_stably and self.missing_masses is None and not tied
 
     @property
     def stands_stably(self) -> bool:
-        """Whether `passed` is True apart from assumed masses."""
+        """Whether `passed` is True apart from assumed masses and ties."""
         replaced = self.servos.replacement_servos
         stable = self.worst.stable and self.sag_failure is None
         return stable and not self.exceeded and not replaced
@@ -417,6 +420,7 @@ def study_gains(
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
+        ties=describe_ties(robot, stand),
     )
 
 

@@ -18,6 +18,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes, task_text
+from pupper_analysis.present.verdict import split_ties
 from pupper_analysis.robot.alike import name_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat
@@ -41,16 +42,21 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the motor temperatures of a stance, for ``build_document``."""
     first = _describe_first_motor(study.first, _format_ambient(study))
     exceeds_limits = bool(study.weak or study.overheats)
+    is_cool = study.known and not exceeds_limits
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
-    if study.battery_time is not None and (study.passed or exceeds_limits):
+    if study.battery_time is not None and (is_cool or exceeds_limits):
         first, losses = (*first[:1], *losses, *first[1:]), ()  # the user asks for the duration
     final = study.first.steady_temperature
     is_temperature_known = not exceeds_limits and final is not None and math.isfinite(final)
+    states_first = is_cool or is_temperature_known
     weak = tuple(_describe_weak_count(study))
-    failures: tuple[doc.Words, ...] = (*first, *weak, *unknown) if exceeds_limits else unknown
+    _, broken, ties = split_ties(study.ties)
+    failures: tuple[doc.Words, ...] = (*broken, *unknown)
+    if exceeds_limits:
+        failures = (*first[:1], *broken, *ties, *first[1:], *weak, *unknown)
     if is_temperature_known and _lacks_limit_only(study):
-        failures, first = tuple(_describe_temperature_without_limit(study)), ()
+        failures, first = (*broken, *_describe_temperature_without_limit(study)), ()
     return doc.Document(
         text("heat"),
         doc.Name(study.name),
@@ -58,7 +64,12 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
         passed=study.passed,
         verdict=text(_select_verdict(study)),
         failures=failures,
-        findings=(*first, *losses) if study.passed or is_temperature_known else losses,
+        findings=(
+            *(first[:1] if states_first else ()),
+            *(() if exceeds_limits else ties),
+            *(first[1:] if states_first else ()),
+            *losses,
+        ),
         details=(task_text(study.stand.task), text("heat-model")),
         brief=True,
         notes=robot_notes(robot),
@@ -72,6 +83,8 @@ def _select_verdict(study: HeatStudy) -> str:
         return "heat-weak"
     if study.overheats:
         return "heat-hot"
+    if word := split_ties(study.ties)[0]:
+        return word
     return "heat-cool" if study.passed else "UNKNOWN"
 
 

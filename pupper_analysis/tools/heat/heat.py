@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
@@ -25,7 +25,7 @@ from pupper_analysis.models.motors.thermal import (
     compute_continuous_torque,
     list_unknown_thermal_numbers,
 )
-from pupper_analysis.prepare.judge import describe_missing_masses
+from pupper_analysis.prepare.judge import describe_missing_masses, describe_ties
 from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
@@ -161,6 +161,7 @@ class HeatStudy(Tabular):
         times: (n,) times of the temperatures (s).
         temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
         missing_masses: Message about links with assumed masses; None if the files state all.
+        ties: Messages about constraints of the file that tie the robot to the world.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("passed", "overheats", "known", "first")
@@ -178,6 +179,7 @@ class HeatStudy(Tabular):
     times: Array = field(metadata={"unit": "s"})
     temperatures: Array = field(metadata={"unit": "degC"})
     missing_masses: Diagnostic | None = None
+    ties: tuple[Diagnostic, ...] = ()
 
     def _columns(self) -> dict[str, Array]:
         """Return {column: values, shape (n,)}: time, and the temperature of each motor."""
@@ -228,8 +230,12 @@ class HeatStudy(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Whether each motor is known to exert its torque in the stance without overheating."""
-        return self.known and not self.overheats and not self.weak
+        """Whether each motor is known to exert its torque in the stance without overheating.
+
+        False also if `ties` contains an error.
+        """
+        tied = any(tie.severity is Severity.ERROR for tie in self.ties)
+        return self.known and not self.overheats and not self.weak and not tied
 
 
 @check_arguments
@@ -302,6 +308,7 @@ def study_heat(
         times=times,
         temperatures=compute_curves(times),
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
+        ties=describe_ties(robot, stand),
     )
 
 

@@ -23,35 +23,6 @@ from tests.support import arm
 from tests.support.commands import answer
 from tests.support.legged import rewrite_file
 
-ANCHOR = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
-"""Posture [rad, m] in which the hand of the arm is tied to the world."""
-
-
-def _write_tied_arm(
-    folder: Path, kind: str, offsets: dict[str, float], servos: str = arm._SERVOS, ctrl: bool = True
-) -> pa.Robot:
-    """Load the arm with a tied hand, and a keyframe that differs from `ANCHOR` by ``offsets``."""
-    model = mujoco.MjModel.from_xml_string(arm.MJCF)
-    data = mujoco.MjData(model)
-    for name, position in ANCHOR.items():
-        data.joint(name).qpos = position
-    mujoco.mj_kinematics(model, data)
-    hand = data.body("hand")
-    pose = " ".join(map(repr, (*hand.xpos.tolist(), *hand.xquat.tolist())))
-    tie = (
-        f'<weld name="bolt" body1="world" body2="hand" relpose="{pose}"/>'
-        if kind == "weld"
-        else '<connect name="bolt" site1="tip" site2="hook"/>'
-    )
-    hook = " ".join(map(repr, arm.tip_position(*ANCHOR.values()).tolist()))
-    start = {name: position + offsets.get(name, 0.0) for name, position in ANCHOR.items()}
-    commands = f'ctrl="{" ".join(str(start[name]) for name in arm.ORDER)}"' if ctrl else ""
-    key = f'<key name="home" qpos="{" ".join(map(str, start.values()))}" {commands}/>'
-    text = arm.MJCF.replace(arm._SERVOS, servos)
-    text = text.replace("<worldbody>", f'<worldbody><site name="hook" pos="{hook}"/>')
-    end = f"<equality>{tie}</equality><keyframe>{key}</keyframe></mujoco>"
-    return arm.load_arm(folder, mjcf=text.replace("</mujoco>", end))
-
 
 def _simulate_bare(path: Path, *, tied: bool = True) -> tuple[NDArray[np.float64], mujoco.MjData]:
     """Simulate a file from its keyframe for 5 s; return the joint displacements and the state."""
@@ -71,7 +42,7 @@ def test_keyframe_that_violates_a_tie_is_not_held(
     tmp_path: Path, kind: str, ctrl: bool, offset: float
 ) -> None:
     """Reference: displacement of the joints from the keyframe in bare MuJoCo, and motor torques."""
-    robot = _write_tied_arm(tmp_path, kind, {"a_turn": offset}, ctrl=ctrl)
+    robot = arm.write_tied_arm(tmp_path, kind, {"a_turn": offset}, ctrl=ctrl)
     joints = find_posture(robot).qpos
     message = describe_violated_keyframe(robot, joints)
     (tie,) = report_posture_ties(robot, joints)
@@ -93,7 +64,7 @@ def test_keyframe_that_violates_a_tie_is_not_held(
         assert np.abs(moved).max() < 0.02
         return
     # In bare MuJoCo, the servos press against the tie: no torque of the judged posture.
-    judged = arm.holding_torques(*(joints[robot.joint_names.index(name)] for name in ANCHOR))
+    judged = arm.holding_torques(*(joints[robot.joint_names.index(name)] for name in arm.ANCHOR))
     torque = data.actuator_force[arm.ORDER.index("a_turn")]
     pressing = offset * arm.STIFFNESS["a_turn"]
     assert torque - judged["a_turn"] == pytest.approx(pressing, rel=0.1)
@@ -112,7 +83,7 @@ def test_keyframe_that_violates_a_tie_is_not_held(
 def test_verdict_of_a_tied_arm_names_the_tie(
     tmp_path: Path, kind: str, offset: float, code: VerdictCode
 ) -> None:
-    hold = hold_posture(_write_tied_arm(tmp_path, kind, {"a_turn": offset}))
+    hold = hold_posture(arm.write_tied_arm(tmp_path, kind, {"a_turn": offset}))
     verdict = hold.verdict
     document = hold_document(hold)
     shown = document.findings if document.passed else document.failures
@@ -125,7 +96,7 @@ def test_verdict_of_a_tied_arm_names_the_tie(
 
 def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path: Path) -> None:
     """Reference: bare MuJoCo moves a joint of the arm by 0.8 rad from the keyframe."""
-    _write_tied_arm(tmp_path, "weld", {"a_turn": 0.8})
+    arm.write_tied_arm(tmp_path, "weld", {"a_turn": 0.8})
     path = tmp_path / "arm.xml"
     assert np.abs(_simulate_bare(path)[0]).max() > 0.7
     inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
@@ -138,20 +109,19 @@ def test_stand_with_a_welded_base_simulates_the_keyframe_of_a_tied_arm(tmp_path:
 
 def test_requested_joint_does_not_hide_that_a_keyframe_violates_a_tie(tmp_path: Path) -> None:
     """The slide is requested; the connect turns the arm by 0.2 rad from the keyframe."""
-    robot = _write_tied_arm(tmp_path, "connect", {"a_turn": 0.2})
+    robot = arm.write_tied_arm(tmp_path, "connect", {"a_turn": 0.2})
     verdict = hold_posture(robot, {"b_slide": 0.05}).verdict
     assert verdict.code is VerdictCode.DISAGREES
     (message,) = verdict.failures
     assert message.code == "keyframe-violates-constraints"
     assert message.values["joint"] == "a_turn"
     # The requested joints are the ones that the keyframe would place elsewhere.
-    assert hold_posture(robot, ANCHOR).verdict.passed
+    assert hold_posture(robot, arm.ANCHOR).verdict.passed
 
 
 def test_posture_that_only_a_tie_holds_does_not_pass(tmp_path: Path) -> None:
     """Reference: bare MuJoCo with and without the tie; the servos of 2 N m/rad are too soft."""
-    soft = "".join(f'<position joint="{name}" kp="2" kv="5"/>' for name in arm.ORDER)
-    robot = _write_tied_arm(tmp_path, "weld", {}, soft)
+    robot = arm.write_tied_arm(tmp_path, "weld", {}, arm.SOFT_SERVOS)
     path = tmp_path / "arm.xml"
     assert np.abs(_simulate_bare(path)[0]).max() < 0.05
     assert np.abs(_simulate_bare(path, tied=False)[0]).max() > 0.5
@@ -216,7 +186,7 @@ def test_four_bar_with_a_pivot_in_the_world_holds(tmp_path: Path) -> None:
 
 def test_arm_without_actuators_is_refused_if_a_tie_determines_its_joints(tmp_path: Path) -> None:
     """Reference: the weld of six equations has the rank of all joints of the arm."""
-    robot = _write_tied_arm(tmp_path, "weld", {}, servos="", ctrl=False)
+    robot = arm.write_tied_arm(tmp_path, "weld", {}, servos="", ctrl=False)
     assert robot.closure is not None
     assert len(robot.closure.dependent_joints) == robot.nu
     with pytest.raises(ModelError, match="weld bolt alone determines all joint positions"):
