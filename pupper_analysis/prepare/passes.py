@@ -743,9 +743,7 @@ def _add_servos(draft: Draft) -> PassOutput:
 
 
 @_register_pass(
-    Term("has the start pose that was found as the robot rests in it"),
-    _may_be_altered,
-    deferred=True,
+    Term("replaces a found start pose by the stand at rest"), _may_be_altered, deferred=True
 )
 def _store_rest_pose(draft: Draft) -> PassOutput:
     """Replace a searched start pose by the nominal stand on soft ground, if it can be solved."""
@@ -780,9 +778,7 @@ def _pose_without_servos(draft: Draft) -> Robot:
     return replace(robot, home=round_start_configuration(robot, stand))
 
 
-@_register_pass(
-    Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
-)
+@_register_pass(Term("converts the visual meshes"), _applies_always, deferred=True)
 def _convert_visual_meshes(draft: Draft) -> PassOutput:
     """Convert visual meshes; build the robot again with visual geoms if they were removed."""
     if not draft.request.visuals:

@@ -111,3 +111,21 @@ def test_each_text_of_the_code_exists_and_gets_its_values() -> None:
                 needed = list_template_names(phrase(one.value, "en"))
                 assert None in given or needed <= given, f"{module}:{node.lineno}"
     assert count > 300
+
+
+@pytest.mark.slow
+def test_each_term_of_the_code_is_in_the_catalogue() -> None:
+    """Calls of ``Term`` with a literal key, or with one of two; without an entry it is English."""
+    keys = set[str]()
+    for _, node in made_calls():
+        if getattr(node.func, "id", "") != "Term" or not node.args:
+            continue
+        choices = [node.args[0]]
+        while choices:
+            one = choices.pop()
+            if isinstance(one, ast.IfExp):
+                choices += [one.body, one.orelse]
+            elif isinstance(one, ast.Constant) and isinstance(one.value, str):
+                keys.add(one.value)
+    assert len(keys) > 50
+    assert keys - set(TERMS) - set(TEXTS) == set()

@@ -667,7 +667,7 @@ def _format_value(element: ModelElement | None, word: str, other: ModelElement |
     if element is None:
         return Term("none")
     if not word:
-        return Term("there") if element.shape is None else element.shape.diagnostic
+        return Term("present") if element.shape is None else element.shape.diagnostic
     if word == SHAPE_WORD:
         assert element.shape is not None
         return element.shape.diagnostic
