@@ -195,19 +195,25 @@ def repair_inertials(
 
 
 def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> UrdfFile:
-    """Return a copy of a URDF that contains the repaired inertials.
+    """Return a copy of a URDF that contains the repaired and the moved inertials.
+
+    A repaired link may also carry the mass of a fixed link, which has lost its own inertial.
 
     Args:
         urdf: URDF as read.
-        bodies: Bodies with the repaired inertials.
+        bodies: Bodies with the repaired and moved inertials.
         repairs: Repairs; without repairs, ``urdf`` itself is returned.
     """
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
     links = UrdfTree(root).links
-    for repair in repairs:
-        links[repair.link].set_inertia(bodies.tree.links[repair.link].inertia)
+    for name in bodies.names:
+        inertia = bodies.inertia(name)
+        if inertia is None:
+            links[name].remove("inertial")
+        elif inertia != links[name].inertia:
+            links[name].set_inertia(inertia)
     return replace(urdf, text=to_text(root), root=root)
 
 

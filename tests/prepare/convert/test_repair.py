@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
@@ -115,6 +116,24 @@ def test_moving_link_without_mass_gets_one_gram_on_request(tmp_path: Path) -> No
     assert [(repair.link, repair.new_mass) for repair in found.repairs] == [("claw", 1e-3)]
     assert compile_file(mjcf).body("claw").mass[0] == 1e-3
     assert {difference.element for difference in found.comparison.differences} == {"grip"}
+
+
+def test_mass_of_a_fixed_link_is_counted_once_if_its_link_is_repaired(tmp_path: Path) -> None:
+    """Rod and tool have masses without moments: the tool's mass moves to the rod, whose moments are
+    repaired. Reference: Pinocchio's masses and gravity torques of the unmodified URDF."""
+    zero = (0.0,) * 6
+    parts = change_part(arm(), "rod", inertia=zero)
+    parts["tool"] = make_fixed_part("tool", "rod", zero, mass=0.3)
+    urdf = write_parts(tmp_path, parts)
+    stated = pin.buildModelFromUrdf(str(urdf))
+    robot = pa.load_robot(urdf=urdf)
+    mass = sum(inertia.mass for inertia in stated.inertias[1:])
+    assert sum(inertia.mass for inertia in robot.pin_model.inertias[1:]) == pytest.approx(mass)
+    assert robot.mj_model.body_mass[1:].sum() == pytest.approx(robot.total_mass)
+    rod = stated.inertias[stated.getJointId("push")]
+    repaired = robot.pin_model.inertias[robot.pin_model.getJointId("push")]
+    assert repaired.mass == pytest.approx(rod.mass)
+    assert repaired.lever == pytest.approx(rod.lever)
 
 
 @pytest.mark.slow
