@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -303,12 +303,16 @@ PREPARING_ROBOT: Final = "preparing the robot: feet, start pose, servos"
 def load_files(files: RobotFiles, **more: Any) -> Robot:
     """Load a robot from files, and show the progress on standard error; print no notes.
 
+    The robot gets the names of the files, as typed, instead of the name that a file states.
+
     Args:
         files: Files and options of the user.
         **more: Further keyword arguments of ``load_robot``.
     """
+    from pupper_analysis.robot.robot import rename_robot
+
     with shared.show_progress(PREPARING_ROBOT):
-        return files.load(**more)
+        return rename_robot(files.load(**more), str(files))
 
 
 def load_selected_robot(
@@ -344,17 +348,19 @@ def name_uniquely(
         meant: Selections of the user.
         robots: Robots that were loaded from the selections, in the same order.
     """
+    from pupper_analysis.robot.robot import rename_robot
+
     names = Counter(robot.name for robot in robots)
     renamed: list[Robot] = []
     for selection, robot in zip(meant, robots, strict=True):
         name = robot.name
         if names[name] > 1 and isinstance(selection, RobotFiles):
-            name = f"{name} ({selection})"
+            name = "+".join(selection.models) or name  # with the folders, as typed
         taken, number, first = {named.name for named in renamed}, 1, name
         while name in taken:
             number += 1
             name = f"{first} {number}"
-        renamed.append(robot if name == robot.name else replace(robot, name=name))
+        renamed.append(robot if name == robot.name else rename_robot(robot, name))
     return renamed
 
 

@@ -265,7 +265,8 @@ class RobotAndTask:
     def _apply_options(self, robot: Robot) -> Robot:
         """Apply the typed effort limits, payload, MuJoCo options and contacts to a robot.
 
-        A payload is appended to the name of the robot: mass [kg] and position [mm].
+        A payload is appended to the name of the robot: mass [kg], and position [mm] unless the
+        payload is at the origin of the base.
         """
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
@@ -278,7 +279,8 @@ class RobotAndTask:
         if self.payload:  # in every title, figure and result
             frame = f"{place[0]} " if isinstance(place[0], str) else ""
             where = ", ".join(f"{1e3 * float(value):.4g}" for value in place[-3:])
-            name = f"{loaded.name} + {self.payload:.6g} kg at {frame}({where}) mm"
+            at = f" at {frame}({where}) mm" if frame or any(place) else ""
+            name = f"{loaded.name} + {self.payload:.6g} kg{at}"
             loaded = replace(loaded, name=name)
         loaded = with_options(
             loaded, self.integrator, self.cone, self.impratio, timestep=self.timestep

@@ -217,7 +217,8 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy notes, stand height and published file from the original to a rebuilt robot.
 
-    Contacts of a task (``touching``) are copied as well.
+    Contacts of a task (``touching``) are copied as well, and the name, unless the description of
+    the rebuilt robot has another name.
 
     Args:
         built: Rebuilt robot; not changed.
@@ -226,8 +227,10 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
     Returns:
         Copy of ``built`` with these data.
     """
+    same_name = built.description.name == robot.description.name
     result = replace(
         built,
+        name=robot.name if same_name else built.name,
         stand_height=robot.stand_height,
         notes=robot.notes,
         published=None if robot.published is None else robot.published.for_modified_copy(robot),

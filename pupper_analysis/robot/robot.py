@@ -959,6 +959,17 @@ def defer_stages(
     return deferred
 
 
+def rename_robot(robot: Robot, name: str) -> Robot:
+    """Return a copy of a robot with another name; postponed preparation steps remain postponed.
+
+    The description of the files keeps its name, which written files get.
+    """
+    renamed = object.__new__(Robot)
+    kept = {key: value for key, value in vars(robot).items() if key not in _CACHED_ATTRIBUTES}
+    vars(renamed).update({**kept, "name": name})
+    return renamed
+
+
 def acts_at_rest(model: mujoco.MjModel) -> bool:
     """Return True if a MuJoCo model may exert passive forces, such as springs, at zero velocity."""
     arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")

@@ -75,7 +75,17 @@ def test_robots_with_equal_names_get_unique_names() -> None:
     robot = load_variant("v3")
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
     names = [one.name for one in name_uniquely([*meant, "v3"], [robot] * 4)]
-    assert names == ["v3 (a.urdf)", "v3 (b.xml)", "v3 (b.xml) 2", "v3"]
+    assert names == ["a.urdf", "b.xml", "b.xml 2", "v3"]
+
+
+@pytest.mark.slow
+def test_robot_keeps_the_typed_name_with_payload_and_contacts(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """The robot is rebuilt for a payload and for a wall; the files state the name pupper_v3."""
+    options = ("--payload", "0.2kg", "--contact", "leg_front_r_3=weld", "-v")
+    _, out, _ = run_command(capfd, "stand", str(MJCF), *options)
+    assert f"{MJCF.name} + 0.2 kg: " in out.partition("\n")[0]
 
 
 @pytest.mark.parametrize(
@@ -106,7 +116,7 @@ def test_stand_of_one_file_converts_the_other_in_memory(
     status, out, _ = run_command(capfd, "stand", str(file), "-v")
     assert status == 0
     given, made = ("URDF", "MJCF") if file is URDF else ("MJCF", "URDF")
-    assert out.startswith(f"HOLDS ({given} only) pupper_v3: ")
+    assert out.startswith(f"HOLDS ({given} only) {file.name}: ")
     assert f"the {made} was converted from {file.name} in memory" in out.replace("\n", " ")
 
 

@@ -59,7 +59,7 @@ from pupper_analysis.pupper.variants import (
     get_variant_spec,
 )
 from pupper_analysis.robot.build import build_robot, rebuild_robot
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, rename_robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import solve_stand
@@ -181,6 +181,8 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
         raise ConfigurationError("robot", problem)
     files = RobotFiles.from_arguments(*models, **options)
     robot = files.load()
+    if "name" not in options:
+        robot = rename_robot(robot, str(files))
     try:
         robot.check_floating("study-of-fixed-base")
     except ConfigurationError as error:
