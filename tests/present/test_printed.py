@@ -210,5 +210,5 @@ def test_restricted_verdict_has_a_short_form_that_leaves_room_for_the_answer() -
     """With the format of the only file, the long form has 48 characters."""
     word = qualify_verdict_word("HOLDS with feed-forward", "mjcf")
     assert word.en == "HOLDS only with gravity compensation (URDF only)"
-    assert word.short == "HOLDS only if compensated (URDF only)"
+    assert word.short == "HOLDS if compensated (URDF only)"
     assert qualify_verdict_word("HOLDS with feed-forward", "").short == ""
