@@ -13,7 +13,7 @@ from typing import Any
 
 from pupper_analysis.models.efforts import is_placeholder_number
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.robot.compare.differences import (
@@ -22,7 +22,7 @@ from pupper_analysis.robot.compare.differences import (
     has_inverted_urdf_range,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.sync.models import Sync, format_difference_label
+from pupper_analysis.tools.sync.models import Sync, format_difference_label, format_owner_name
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 
@@ -60,7 +60,9 @@ def sync_document(
     if chosen:
         messages = [edit_count]
         if sync.not_mended:
-            messages.append(text("differences-left-count", count=len(sync.not_mended)))
+            left = list(sync.not_mended)
+            kept = text("unwritten-differences", name=left[0].difference, others=len(left) - 1)
+            messages.append(text("differences-left-count", count=len(left), kept=kept))
         if dry_run:
             messages.append(text("dry-run-writes-nothing"))
     else:
@@ -93,8 +95,6 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
     yield text("differences-listed-count", count=len(sync.differences))
     if sync.left_by_side:
         side = _find_better_side(sync)
-        differing = dict.fromkeys(difference.kind for difference in sync.differences)
-        kinds = [kind for kind in differing if kind in UNWRITTEN_KINDS]
         other = "urdf" if side == "mjcf" else "mjcf"
         yield text(
             "differences-left-by-side",
@@ -102,10 +102,26 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
             left=sync.left_by_side[side],
             other=other,
             more=sync.left_by_side[other],
-            kinds=join_words(map(word, kinds)) if kinds else "",
+            kept=_describe_unwritten(sync.differences),
         )
     first = doc.diagnostic_text(sync.differences[0].diagnostic)
     yield text("difference-first", difference=first)
+
+
+def _describe_unwritten(differences: Iterable[Difference]) -> doc.Words:
+    """Return the first difference of a kind that `sync` does not write, and the number of others.
+
+    Empty without such a difference.
+    """
+    unwritten = [one for one in differences if one.kind in UNWRITTEN_KINDS]
+    if not unwritten:
+        return ""
+    return text(
+        "unwritten-differences",
+        name=format_owner_name(unwritten[0]),
+        distance=unwritten[0].diagnostic.values.get("distance"),
+        others=len(unwritten) - 1,
+    )
 
 
 def _select_next_step(

@@ -107,7 +107,7 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
         "\nNot written\njoint hip1: effort: no file was chosen for this difference" in result.stdout
     )
     message = "DISAGREE robot.urdf and robot.xml: attributes that would be written: 1"
-    left = "  differences left: 1; nothing was written, because of --dry-run"
+    left = "  differences left: 1 (joint hip1: effort); nothing written (--dry-run)"
     assert result.stdout.splitlines()[:2] == [message, left]
     assert (folder / "robot.urdf").read_bytes() == before
     # The files do not agree yet if all differences are chosen in a trial.
@@ -190,7 +190,7 @@ def test_next_command_takes_the_file_that_leaves_fewer_differences(tmp_path: Pat
     limit = re.sub(r' effort="[^"]*"', "", text[start:end])
     files.urdf.write_text(text[:start] + limit + text[end:])
     lines = run(tmp_path).stdout.splitlines()
-    assert lines[1].startswith("  differences left: 0 with --take mjcf, 1 with --take urdf; ")
+    assert lines[1].startswith("  left with --take mjcf: 0, urdf: 1; ")
     trial = "sync robot.urdf robot.xml --take mjcf --dry-run"
     assert lines[2] == f"  next: pupper-analysis {trial}"
     assert answer(*trial.split(), folder=tmp_path).returncode == 0
