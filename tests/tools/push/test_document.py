@@ -154,9 +154,9 @@ def test_push_limit_states_that_its_servos_were_added() -> None:
 @pytest.mark.parametrize(
     ("resolution", "angle", "expected"),
     [
-        (1.0, 90.0, "at least 90 N s in 3 directions, weakest to the left (90 deg)"),
-        (0.02, 180.0, "at least 90.37 N s in 3 directions, weakest to the back (180 deg)"),
-        (0.1, 240.0, "at least 90.3 N s in 3 directions, weakest to 240 deg"),
+        (1.0, 90.0, "at least 90 N s, weakest to the left (90 deg), of 3 directions"),
+        (0.02, 180.0, "at least 90.37 N s, weakest to the back (180 deg), of 3 directions"),
+        (0.1, 240.0, "at least 90.3 N s, weakest to 240 deg, of 3 directions"),
     ],
 )
 def test_first_line_states_the_least_impulse_with_the_digits_of_its_resolution(
