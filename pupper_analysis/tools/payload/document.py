@@ -69,7 +69,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
 _NEXT_STEPS = {
     "stance": NextStep("best", ("payload",)),
     "motors": NextStep("best", ("payload",)),
-    "servos": NextStep("stand", ("--minimum-stiffness",)),
+    "servos": NextStep("gains"),
     "simulation": NextStep("push"),
 }
 """{name of the bound that limits the payload: command to suggest next}."""

@@ -232,7 +232,7 @@ def _select_next_step(stance: Stance) -> NextStep:
     if step.command == "payload" and exceeds_explicit_damping(stance.servos):
         step = NextStep("gains")
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
-        step = NextStep("payload")
+        step = NextStep("gains")
     return step
 
 

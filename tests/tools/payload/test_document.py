@@ -56,7 +56,7 @@ def test_next_command_simulates_the_payload_with_the_typed_one(carried: float, m
     result.carried = carried
     step = payload_document(result).next_step
     assert step is not None
-    assert (step.command, step.words) == ("stand", ("--minimum-stiffness", "--payload", mass))
+    assert (step.command, step.words) == ("gains", ("--payload", mass))
 
 
 @pytest.mark.parametrize(("carried", "command"), [(0.0, "stand"), (9.0, "payload")])
