@@ -70,7 +70,9 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with the directions, for the short answer, most directions first.
 
     For example, ``joints (all but x)``: the shorter of the list of directions and of the list of
-    the other directions. Names of joints and links are omitted.
+    the other directions. Names of joints and links are omitted. If the result is wider than
+    `_MAX_LIMITS_WIDTH`, the first limit is ``mostly joints``; if this is too wide as well, all
+    directions are omitted.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -79,14 +81,23 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
             if direction not in directions:
                 directions.append(direction)
     parts = list[str]()
-    for limit_name in sorted(limited, key=lambda name: -len(limited[name])):
+    names = sorted(limited, key=lambda name: -len(limited[name]))
+    for limit_name in names:
         directions = limited[limit_name]
         others = [direction for direction in workspace.limits if direction not in directions]
         listed = join_words(map(text, directions)).en
         other = join_words(map(text, others)).en
         remaining = text("limit-everywhere", other=other).en
         parts.append(f"{limit_name} ({min(remaining, listed, key=len)})")
-    return ", ".join(parts)
+    mostly = [text("limit-mostly", limit=names[0]).en, *parts[1:]] if len(names) > 1 else parts
+    where = text("limits-by-direction", limits=", ".join(names)).en
+    forms = (", ".join(parts), ", ".join(mostly), where)
+    return next((form for form in forms if len(form) <= _MAX_LIMITS_WIDTH), where)
+
+
+_MAX_LIMITS_WIDTH = 58
+"""Largest width of all limits in the short answer [characters]. The words before the limits take
+42 of the 100 characters of a line."""
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:

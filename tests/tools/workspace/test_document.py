@@ -12,6 +12,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import NextStep, get_english
 from pupper_analysis.present.terminal import SafeConsole, print_head
 from pupper_analysis.tools.workspace.document import (
+    _abbreviate_limits,
     _format_rounded_range,
     plot_workspace,
     workspace_document,
@@ -91,6 +92,23 @@ def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
         extent = words.get_window_extent()
         assert words.axes.bbox.x0 < extent.x0 < extent.x1 < figure.bbox.x1  # beside the names
     pytest.importorskip("matplotlib.pyplot").close(figure)
+
+
+def test_limits_that_are_too_wide_are_abbreviated() -> None:
+    """Reference: the line has 100 columns, of which 42 precede the limits."""
+    ends = [diagnose(f"workspace-ends-at-{one}") for one in ("reach", "support", "full-turn")]
+    names = ("height", "x", "y", "roll", "pitch", "yaw")
+    result = SimpleNamespace(limits=dict.fromkeys(names, (ends[0], ends[0])))
+    result.limits |= {"x": (ends[1], ends[1]), "roll": (ends[2], ends[2])}
+    assert (
+        _abbreviate_limits(result) == "reach (all but x, roll), support (x), end of search (roll)"
+    )
+    result.limits["y"] = result.limits["x"]
+    expected = "mostly reach, support (x, y), end of search (roll)"
+    assert _abbreviate_limits(result) == expected
+    ground = diagnose("workspace-ends-at-ground", links=("foot",))
+    result.limits["pitch"] = (ends[0], ground)
+    assert _abbreviate_limits(result) == "reach, support, end of search, ground (by direction: -v)"
 
 
 def test_ends_of_short_ranges_are_within_reach() -> None:
