@@ -259,8 +259,8 @@ def test_verdict_of_two_conditions_is_no_better_than_that_of_each() -> None:
     [
         ({"fed": run(passed=False, stays=True)}, "DISAGREES", "与预测不符"),
         ({"published": make_published(0.65)}, "DISAGREES", "与预测不符"),
-        ({"published": make_published(0.0, collapses=True)}, "FAILS", "不稳定"),
-        ({"fed": run(passed=False)}, "FAILS", "不稳定"),
+        ({"published": make_published(0.0, collapses=True)}, "FAILS", "未能保持"),
+        ({"fed": run(passed=False)}, "FAILS", "未能保持"),
     ],
 )
 def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
