@@ -13,7 +13,7 @@ import pytest
 
 from pupper_analysis import cli
 from pupper_analysis.tools.audit.audit import RULES, audit_model
-from pupper_analysis.tools.audit.document import audit_document
+from pupper_analysis.tools.audit.document import audit_document, describe_counts
 from tests.support.commands import answer
 from tests.support.printing import printed
 from tests.support.repository import ROOT
@@ -74,6 +74,13 @@ def test_audit_of_a_sound_file_passes(tmp_path: Path) -> None:
     content = json.loads(report.read_text())
     assert content["passed"] is True
     assert len(content["rules_run"]) > 30
+
+
+def test_counts_of_findings_have_a_measure_word_in_chinese() -> None:
+    """English has a plural; Chinese has the same noun for each count."""
+    counts = describe_counts({"error": 0, "warning": 2, "note": 1})
+    assert counts.en == "0 errors, 2 warnings, 1 note"
+    assert counts.zh == "0 个错误、2 个警告、1 个提示"
 
 
 def test_disabled_rule_is_not_reported_and_warnings_fail_on_request(broken: Path) -> None:
