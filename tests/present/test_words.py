@@ -20,9 +20,37 @@ from tests.base.diagnostics.test_diagnostic import (
     list_template_names,
     made_calls,
 )
+from tests.support.repository import ROOT
 
 SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
 """Parts of a text that are equal in both languages."""
+
+CHINESE_SYNONYMS = {
+    "起始姿态": "初始姿态",
+    "位形": "构型",
+    "姿势": "姿态",
+    "接触形状": "碰撞形状",
+    "碰撞外形": "碰撞形状",
+    "显示外形": "显示形状",
+    "联动": "跟随",
+    "连续力矩": "持续力矩",
+    "力矩限值": "力矩上限",
+    "正向动力学": "正动力学",
+    "塌下": "倒塌",
+    "倾覆": "翻倒",
+    "摔倒": "跌倒",
+    "压入": "陷入",
+    "蠕变": "蠕动",
+    "脚掌": "足底",
+    "滚转": "横滚",
+    "最差姿态": "最不利姿态",
+    "处理步骤": "准备步骤",
+    "裕量": "裕度",
+    "契约": "约定",
+    "测量项": "指标",
+    "读法": "解读",
+}
+"""{Chinese synonym: the term of the Chinese texts for the same concept}."""
 
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
@@ -40,6 +68,17 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
         assert not HAN.search(english), key
         shown = re.sub(r"\[!?\w+\?", "[", chinese)  # without the names of conditions
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", shown), f"punctuation of {chinese}"
+
+
+def test_chinese_texts_name_each_concept_by_one_term() -> None:
+    """Chinese catalogues and pages contain no synonym of a term."""
+    catalogues = (ROOT / "pupper_analysis").rglob("*.toml")
+    files = [*catalogues, ROOT / "docs/words.toml", *(ROOT / "docs/zh").rglob("*.md")]
+    contents = {file: file.read_text(encoding="utf-8") for file in files}
+    assert any("初始姿态" in content for content in contents.values())
+    for file, content in contents.items():
+        for synonym, used in CHINESE_SYNONYMS.items():
+            assert synonym not in content, f"{file.name}: {synonym} instead of {used}"
 
 
 @pytest.mark.parametrize(("file", "words"), [("terms.toml", TERMS), ("texts.toml", TEXTS)])
