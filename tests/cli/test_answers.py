@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from pupper_analysis import cli
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from tests.robots.test_real_robots import LAB, URDF, file
 from tests.support.commands import Answer, answer
+from tests.support.every_command import share_robots
+from tests.support.shared_rollouts import share_rollouts
 
 ROBOTS = {
     "v3": None,
@@ -43,6 +46,13 @@ a study with further options computes the same designs."""
 
 _FOLDER_PATTERN = re.compile(r"(?<![\w.])(?:\.\.)?/(?:[^/\s:;,']+/)+")
 """Folders of a path in a line."""
+
+
+@pytest.fixture(autouse=True)
+def simulate_once() -> Iterator[None]:
+    """Prepare each robot and simulate each rollout once for all commands."""
+    with share_robots(), share_rollouts():
+        yield
 
 
 def list_lines(found: Answer) -> list[str]:
