@@ -14,8 +14,11 @@ endif
 BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 # uv needs a fifth of pip's time. Without uv, or if uv finds no index (it does not read pip's
-# settings), pip installs.
-UV := $(shell command -v uv 2> /dev/null)
+# settings), pip installs. `make UV=` installs with pip.
+UV ?= $(shell command -v uv 2> /dev/null)
+# $(call install,PYTHON,OPTIONS) installs packages into the environment of a Python.
+install = $(if $(UV),$(UV) pip install --quiet --python $(1) $(2) || )\
+  $(BIN)/python -m pip --python $(1) install --quiet $(2)
 # Robots of other packages: the tests read their files.
 ROBOTS := build/robots
 # Converters to USD depend on another OpenUSD than the project's.
@@ -118,40 +121,40 @@ clean: ## delete the virtual environment and all that was made
 	rm -rf .venv .venv-* build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 $(VENV)/.ready: pyproject.toml $(VENV)/.created
-	$(if $(UV),$(UV) pip install --quiet --python $(BIN)/python --editable . --group test || )\
-	  $(BIN)/python -m pip install --quiet --editable . --group test
+	$(call install,$(BIN)/python,--editable . --group test)
 	@echo "Installed in $(VENV): pupper-analysis and the packages of its tests."
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --group dev
+	$(call install,$(BIN)/python,--group dev)
 	@touch $@
 
 # With the versions of the engines that tests/data/recorded.json was computed with.
 $(VENV)/.ready-ci: $(VENV)/.ready-dev
-	$(BIN)/python -m pip install --quiet --group recorded --group peers
+	$(call install,$(BIN)/python,--group recorded --group peers)
 	@touch $@
 
+# By pip: of the builds on several indexes, pip prefers one without CUDA.
 $(VENV)/.ready-torch: $(VENV)/.ready-ci
 	$(BIN)/python -m pip install --quiet --group torch
 	@touch $@
 
 $(ROBOTS)/.ready: pyproject.toml | $(VENV)/.ready
 	rm -rf $(ROBOTS)
-	$(BIN)/python -m pip install --quiet --no-deps --target $(ROBOTS) --group robots
+	$(call install,$(BIN)/python,--no-deps --target $(ROBOTS) --group robots)
 	@touch $@
 
 $(CONVERTERS)/.ready: pyproject.toml | $(VENV)/.ready
 	$(BIN)/python -m venv --clear $(CONVERTERS)
-	$(BIN)/python -m pip --python $(CONVERTERS)/bin/python install --quiet --group converters
+	$(call install,$(CONVERTERS)/bin/python,--group converters)
 	@touch $@
 
 $(VENV)/.ready-benchmark: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --group benchmark
+	$(call install,$(BIN)/python,--group benchmark)
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --group docs
+	$(call install,$(BIN)/python,--group docs)
 	@touch $@
 
 # Of what is not named in pyproject.toml the newest is taken: old packages warn about it.
