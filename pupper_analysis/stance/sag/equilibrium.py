@@ -524,8 +524,8 @@ class SagEquilibrium:
         slipping = self.find_slipping_contacts(forces, places)
         self._force_rows = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
         for row, mu, augmented in slipping:
-            along = augmented / np.linalg.norm(augmented)
-            places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
+            friction = mu * forces[row, 2] * augmented / (np.linalg.norm(augmented) or 1.0)
+            places[row, :2] = forces[row, :2] - friction
         sole, depths = self.is_sole_point(), places[:, 2].copy()
         places[:, 2] -= self.equilibrium_depths(forces)
         if sole.any():
@@ -601,7 +601,7 @@ class SagEquilibrium:
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
         for row, mu, augmented in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
-            length = float(np.linalg.norm(augmented))
+            length = float(np.linalg.norm(augmented)) or 1.0  # may be zero without friction
             along, tangents = augmented / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
             rates[row, :2] = self.units.friction_penalty * turn @ rates[row, :2]
@@ -622,7 +622,7 @@ class SagEquilibrium:
     def find_slipping_contacts(
         self, forces: Array, places: Array
     ) -> list[tuple[int, float, Array]]:
-        """Find the touching contacts that slip, by the criterion |f_t - rho s| > mu f_n.
+        """Find the touching contacts that slip: |f_t - rho s| > mu f_n, or mu = 0.
 
         f_t - rho s is the augmented tangential force, with the slip s [m] and the
         ``friction_penalty`` rho [N/m]. Empty with ``feet="sliding"``.
@@ -648,7 +648,7 @@ class SagEquilibrium:
             # No friction under pull: the solution is continuous if the contact is released.
             mu = self.sliding_friction[foot] if pressing > 0 else 0.0
             _, tangential = split_force((*augmented, pressing), GROUND_NORMAL)
-            if tangential > mu * pressing:
+            if tangential > mu * pressing or self.sliding_friction[foot] <= 0:
                 slipping.append((row, mu, np.array(augmented)))
         return slipping
 
@@ -806,14 +806,15 @@ class SagEquilibrium:
     def viscosity(self, foot: str, depth: float) -> float:
         """Return the tangential force per slip velocity of a contact in MuJoCo's friction [N s/m].
 
-        Infinite if the contact does not creep.
+        Infinite if the contact does not creep, or has no friction: its tangential force is zero.
 
         Args:
             foot: Contact point.
             depth: Penetration [m].
         """
         law = self.laws[foot]
-        return law.viscosity(depth) if self.has_creep and depth > -law.margin else math.inf
+        creeps = self.has_creep and depth > -law.margin and self.sliding_friction[foot] > 0
+        return law.viscosity(depth) if creeps else math.inf
 
 
 def _alternates(residuals: Sequence[float]) -> bool:

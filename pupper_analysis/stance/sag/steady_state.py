@@ -61,7 +61,8 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
     """Find the stance feet that slide: friction is saturated at all loaded points of the foot.
 
     A sole may pivot by a fraction of a millimetre, with all points at the friction limit, until its
-    leg is no longer twisted. Such a sole does not count as sliding (`MAX_PIVOT_RATIO`).
+    leg is no longer twisted. Such a sole does not count as sliding (`MAX_PIVOT_RATIO`). A point
+    without friction always slips, and holds no tangential force that could be exceeded.
     """
     loose, names = set(find_slipping_points(system, solution)), tuple(system.anchors)
     if not loose:
@@ -73,6 +74,8 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
         points = [point for point in system.robot.feet[foot] if point in names]
         pressed = [point for point in points if solution.forces[point][2] > 0]
         if not pressed or not loose.issuperset(pressed):
+            continue
+        if not any(system.sliding_friction[point] > 0 for point in pressed):
             continue
         slip = max(float(slips[names.index(point)]) for point in pressed)
         if len(system.robot.feet[foot]) == 1 or slip > small:
@@ -621,7 +624,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
     Raises:
         ConfigurationError: If the robot cannot stand, ``feet`` is ``"sliding"`` on a slope, or
-            pinned feet have no friction, for example.
+            no pinned foot has friction, for example.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
@@ -636,9 +639,10 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         raise ConfigurationError("seconds", problem)
     if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.planes):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
-    slippery = [foot for foot in robot.bearing_points if robot.contacts[foot].sliding_friction <= 0]
-    if feet == "pinned" and slippery:
-        raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
+    points = list(robot.bearing_points)
+    has_friction = any(robot.contacts[point].sliding_friction > 0 for point in points)
+    if feet == "pinned" and points and not has_friction:
+        raise ConfigurationError("feet", diagnose("feet-without-friction", feet=points))
 
 
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
@@ -665,7 +669,8 @@ def release_margin(path: HomotopyPath) -> float:
 
     The reserve is (friction coefficient x normal force - tangential force) / weight. It is
     evaluated in the overshoot after a removal in one step. The forces are then 2 f - f_0, with the
-    forces f at the current equilibrium of the path and f_0 in the stand. Infinite without contacts.
+    forces f at the current equilibrium of the path and f_0 in the stand. Infinite without contacts
+    that have friction.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
@@ -674,7 +679,8 @@ def release_margin(path: HomotopyPath) -> float:
     margins = []
     for foot, force in zip(feet, overshot.tolist(), strict=True):
         pressing, tangential = split_force(force, GROUND_NORMAL)
-        margins.append(robot.contacts[foot].sliding_friction * pressing - tangential)
+        if robot.contacts[foot].sliding_friction > 0:
+            margins.append(robot.contacts[foot].sliding_friction * pressing - tangential)
     return float(min(margins, default=math.inf) / robot.usual_weight)
 
 

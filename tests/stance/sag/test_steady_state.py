@@ -40,6 +40,58 @@ def firm_grip(model: mujoco.MjModel) -> None:
     model.opt.impratio = 1e4
 
 
+def without_friction(robot: pa.Robot, *feet: str) -> pa.Robot:
+    """Return the robot with contacts of friction 0 at some feet; MuJoCo replaces 0 by 1e-5."""
+    contacts = {
+        foot: replace(contact, friction=(0.0,) * 5) if foot in feet else contact
+        for foot, contact in robot.contacts.items()
+    }
+
+    def change(model: mujoco.MjModel) -> None:
+        model.geom_friction[model.geom_bodyid == 0] = 0.0  # MuJoCo combines by the maximum
+        for geom, foot in robot.foot_geoms.items():
+            model.geom_friction[geom] = np.array(contacts[foot].friction)[[0, 2, 3]]
+
+    return replace(change_model(robot, change), contacts=contacts)
+
+
+@pytest.mark.parametrize("feet", [("FR",), ("FR", "RL")])
+def test_feet_without_friction_rest_as_in_mujoco(feet: tuple[str, ...]) -> None:
+    """Reference: MuJoCo, which moves by less than 10 um and 5e-4 rad in 0.25 s of creep."""
+    robot = without_friction(load("v3"), *feet)
+    stand = stand_of("v3")
+    pose = steady_state(robot, stand)
+    assert pose.failures == ()
+    assert pose.release_margin > 0
+    assert [pose.foot_creep[foot] for foot in feet] == [0.0] * len(feet)
+    data = evaluate_mujoco(robot, pose.qpos)
+    data.ctrl[:] = stand.joint_positions(robot)
+    before = data.qpos.copy()
+    mujoco.mj_step(robot.mj_model, data, round(0.25 / robot.mj_model.opt.timestep))
+    assert data.qpos[2] == pytest.approx(before[2], abs=1e-5)
+    assert data.qpos[7:] == pytest.approx(before[7:], abs=5e-4)
+    assert data.actuator_force == pytest.approx(pose.joint_torques, abs=0.01)
+    for contact, force in zip(data.contact, list_contact_forces(robot, data), strict=True):
+        foot = robot.foot_geoms[max(contact.geom.tolist())]
+        assert force[0] == pytest.approx(pose.contact_forces[foot][2], rel=5e-3)
+        assert (foot in feet) == (np.hypot(*force[1:3]) < 2e-4)  # 1e-5 of 7 N
+
+
+def list_contact_forces(robot: pa.Robot, data: mujoco.MjData) -> list[np.ndarray]:
+    """Return the force of each contact in MuJoCo, in its contact frame: normal force first."""
+    forces = []
+    for index in range(data.ncon):
+        forces.append(np.zeros(6))
+        mujoco.mj_contactForce(robot.mj_model, data, index, forces[-1])
+    return forces
+
+
+def test_steady_state_is_refused_if_no_foot_has_friction() -> None:
+    robot = load("v3")
+    with pytest.raises(pa.ConfigurationError, match="have no friction"):
+        steady_state(without_friction(robot, *robot.feet), stand_of("v3"))
+
+
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", SETTLING)
 def test_forces_of_a_steady_state_balance_in_mujoco(name: str, feet: SlipLaw) -> None:
@@ -523,16 +575,20 @@ def test_lifted_foot_that_sinks_to_a_step_or_slope_carries_load(ground: pa.Groun
     assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
 
 
-@pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
+@pytest.mark.parametrize(
+    ("name", "foot", "kp", "slippery"),
+    [("original", "FL", 12.0, ()), ("v3", "RR", 4.0, ()), ("v3", "RR", 4.0, ("RR", "FL"))],
+)
 def test_derivative_of_slipping_and_creeping_feet_equals_central_differences(
-    name: str, foot: str, kp: float
+    name: str, foot: str, kp: float, slippery: tuple[str, ...]
 ) -> None:
     """Central differences of the residual at a solution in which the lifted foot has landed.
 
     Steps of 1e-6 in all coordinates and forces, and of 1e-3 N in the forces alone, with which the
     compliance of the contacts [m/N] is compared as well.
     """
-    way = HomotopyPath(SagEquilibrium(load(name), lift_foot(name, foot, 0.002), kp, "pinned"))
+    robot = without_friction(load(name), *slippery)
+    way = HomotopyPath(SagEquilibrium(robot, lift_foot(name, foot, 0.002), kp, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
     forces = np.array(list(solution.forces.values()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -35,8 +36,11 @@ from pupper_analysis.tools.payload.limit import (
 )
 from pupper_analysis.tools.study.design import DesignBuilder
 from tests.stance.test_welds import ARM, inertial
+from tests.support.commands import answer
 from tests.support.engines import with_efforts
+from tests.support.legged import rewrite_file
 from tests.support.random_legged import draw_robot, irregular_biped, ring, write_robot
+from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
 ON_TOP = (0.0, 0.0, 0.05)
@@ -78,6 +82,35 @@ def check_typed_back(
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_payload_limit_holds_in_stand_and_more_fails(name: str) -> None:
     check_typed_back(load(name), ON_TOP)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
+def test_verdict_with_feet_without_friction_is_that_of_the_stand(
+    count: int, tmp_path: Path
+) -> None:
+    """Reference: bare MuJoCo from the keyframe; the other feet of v3 have friction."""
+    for folder in ("mjcf", "urdf"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    urdf, mjcf = tmp_path / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml"
+    foot = 'class="collision" type="sphere" size="0.01995"'
+    slippery = f'{foot} friction="0 0 0" priority="1"'
+    rewrite_file(tmp_path / "mjcf/pupper_v3_body.xml", (foot, slippery), count=count)
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(8.0 / model.opt.timestep))
+    assert data.xmat[1][8] > 0.99  # cosine of the tilt of the base
+    assert np.abs(data.qvel).max() < 0.05
+    robot = pa.load_robot(urdf, mjcf)
+    frictions = [contact.sliding_friction for contact in robot.contacts.values()]
+    assert frictions.count(0.0) == count
+    stand = answer("stand", str(urdf), str(mjcf), folder=tmp_path)
+    assert (stand.returncode, stand.stdout[:5]) == (0, "HOLDS")
+    limit = payload_limit(robot)
+    assert limit.passed
+    loaded = pa.robot.with_payload(robot, 0.97 * limit.mass)
+    assert pa.judge_stand(loaded, pa.solve_stand(loaded)).passed
 
 
 @pytest.mark.slow
