@@ -83,6 +83,10 @@ OBSERVATION_ALIASES: Final[Mapping[str, str]] = {
 }
 """{name of an observation term in a library: common name}."""
 
+OBSERVATION_SIZES: Final[Mapping[str, int | str]] = FIELD_TABLE["observed_sizes"]
+"""{common name of an observation term: number of its elements, or ``joints`` or ``actions`` for the
+number of joints or actions of the policy}."""
+
 
 class QuantityKind(NamedTuple):
     """Properties of a quantity.

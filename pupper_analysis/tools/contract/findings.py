@@ -19,9 +19,11 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import find_mirror_pairs
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import (
+    OBSERVATION_SIZES,
     QUANTITIES,
     Fact,
     JointSource,
+    ObservedTerm,
     QuantityKind,
     Role,
     Statement,
@@ -146,6 +148,7 @@ def find_disagreements(
         model: Joints of the robot.
     """
     disagreements = [*_compare_orders(placed), *_compare_observations(placed)]
+    disagreements += _compare_network_sizes(placed, model)
     quantities = [
         *QUANTITIES,
         *(what for placed_source in placed for what, _ in placed_source.facts),
@@ -807,9 +810,97 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
             )
 
 
+def _compare_network_sizes(
+    placed: Sequence[PlacedSource], model: RobotJoints
+) -> Iterator[Disagreement]:
+    """Yield a disagreement for each policy with a wrong number of actions or inputs.
+
+    The number of actions must equal the number of joints in the policy's order; a smaller number is
+    a warning. Without an order, it must not exceed the number of moving joints. The number of
+    inputs must equal the number of observed values in the same file, times a history that the file
+    does not state.
+    """
+    for placed_source in placed:
+        source, fact = placed_source.source, placed_source.facts.get(("actions", ""))
+        stated = len(source.order) or len(source.motors)
+        joints = stated or len(model.order)
+        actions = joints if fact is None or fact.value is None else int(fact.number)
+        if fact is not None and (actions > joints or (stated and actions < joints)):
+            place = (stated and source.order_place) or Place(source.path)
+            reference = source.make_fact(Statement("actions", float(joints), place))
+            message = diagnose(
+                "contract-actions-joints",
+                file=source.name,
+                actions=actions,
+                joints=joints,
+                stated=bool(stated),
+            )
+            # The order may contain joints without an actuator.
+            kind = _ORDER_KIND if actions > joints else _FEWER_ACTIONS_KIND
+            yield _make_disagreement("actions", message, (reference, fact), kind)
+            continue
+        inputs = placed_source.facts.get(("observed numbers", ""))
+        if inputs is None or inputs.value is None or not source.observations:
+            continue
+        known, unknown = _count_observed_values(source.observations, joints, actions)
+        if _is_number_of_inputs_possible(int(inputs.number), source.observations, known, unknown):
+            continue
+        place = source.observations[0].place
+        reference = source.make_fact(Statement("observed numbers", float(known), place))
+        message = diagnose(
+            "contract-inputs-observations",
+            file=source.name,
+            inputs=int(inputs.number),
+            values=known,
+            unknown=unknown,
+        )
+        yield _make_disagreement("observed numbers", message, (reference, inputs), _ORDER_KIND)
+
+
+def _count_observed_values(
+    terms: Sequence[ObservedTerm], joints: int, actions: int
+) -> tuple[int, tuple[str, ...]]:
+    """Count the elements of a policy's observation terms, with their stated history.
+
+    Returns:
+        Number of elements of the terms of known size; names of the other terms, such as commands.
+    """
+    known, unknown = 0, list[str]()
+    for term in terms:
+        size = OBSERVATION_SIZES.get(term.common_name)
+        if isinstance(size, str):
+            size = {"joints": joints, "actions": actions}[size]
+        if size is None and term.scales is not None and len(term.scales) > 1:
+            size = len(term.scales)
+        if size is None:
+            unknown.append(term.name)
+        else:
+            known += size * max(term.history, 1)
+    return known, tuple(unknown)
+
+
+def _is_number_of_inputs_possible(
+    inputs: int, terms: Sequence[ObservedTerm], known: int, unknown: Sequence[str]
+) -> bool:
+    """Return True if a network with ``inputs`` elements can read the observation terms.
+
+    ``known`` is the number of elements of the terms of known size; each of the other terms,
+    ``unknown``, has at least one element.
+    """
+    if unknown:
+        return inputs >= known + len(unknown)
+    if any(term.history for term in terms):
+        return inputs == known
+    return inputs > 0 and inputs % known == 0  # the history may be stated elsewhere
+
+
 _ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
 """Properties of a disagreement about the order of joints or observations: no unit, and the severity
 ERROR."""
+
+
+_FEWER_ACTIONS_KIND = _ORDER_KIND._replace(severity=Severity.WARNING)
+"""Properties of a disagreement about a policy with fewer actions than joints."""
 
 
 def add_height_effects(

@@ -22,10 +22,12 @@ from tests.tools.contract.sources import (
     ANGLES,
     JOINTS,
     MJCF,
+    ONNX,
     UNITREE_GYM,
     URDF,
     field,
     format_list,
+    onnx,
     value,
     write_all,
 )
@@ -40,6 +42,49 @@ def sources(tmp_path: Path) -> dict[str, Path]:
 
 def contract(*paths: str | Path) -> Contract:
     return read_contract(URDF, *paths, stand=False)
+
+
+def write_policy(path: Path, inputs: int, outputs: int, metadata: dict[str, str]) -> Path:
+    graph = field(11, value("obs", 0, inputs)) + field(12, value("actions", 0, outputs))
+    path.write_bytes(field(7, graph) + onnx(**metadata))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "metadata", "kind", "values", "severity"),
+    [
+        (27, 14, ONNX, "actions", (12.0, 14.0), "error"),
+        (25, 10, ONNX, "actions", (12.0, 10.0), "warning"),
+        (45, 14, {}, "actions", (12.0, 14.0), "error"),
+        (45, 10, {}, "", (), ""),
+        (27, 12, ONNX, "", (), ""),
+        (81, 12, ONNX, "", (), ""),
+        (30, 12, ONNX, "observed numbers", (27.0, 30.0), "error"),
+        (27, 12, {**ONNX, "observation_names": "joint_pos,actions,command"}, "", (), ""),
+        (
+            *(24, 12, {**ONNX, "observation_names": "joint_pos,actions,command"}),
+            *("observed numbers", (24.0, 24.0), "error"),
+        ),
+    ],
+)
+def test_network_of_another_size_than_joints_or_observations_is_reported(
+    tmp_path: Path,
+    inputs: int,
+    outputs: int,
+    metadata: dict[str, str],
+    kind: str,
+    values: tuple[float, ...],
+    severity: str,
+) -> None:
+    """References: 12 joints; angular velocity (3), joint positions (12) and last actions (12)."""
+    path = write_policy(tmp_path / "policy.onnx", inputs, outputs, metadata)
+    found = [one for one in contract(path).findings if one.kind != "kd"]
+    assert [(one.kind, one.values, one.severity) for one in found] == (
+        [(kind, values, severity)] if kind else []
+    )
+    for one in found:
+        assert {str(int(number)) for number in values} <= set(re.findall(r"\d+", one.message))
+        assert str(inputs if kind == "observed numbers" else outputs) in one.diagnostic.short
 
 
 @pytest.mark.parametrize(
