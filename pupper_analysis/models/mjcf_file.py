@@ -976,14 +976,15 @@ def _compile_file(
     """
     path = tree.path
     spec, notes = make_spec()
-    model, refusal, as_it_is = None, None, None
+    model, refusal, as_it_is = None, _find_nan(tree), None
     try:
         # A new spec, because compiling modifies a spec, and a copy would lack dangling elements.
-        model, shells, first_message = compile_with_shells(lambda: make_spec()[0])
-        if shells:
-            put_shells(spec, shells)
-            notes.append(taken_as_shells(shells))
-            as_it_is = _make_refusal(tree, index, ValueError(first_message))
+        if refusal is None:
+            model, shells, first_message = compile_with_shells(lambda: make_spec()[0])
+            if shells:
+                put_shells(spec, shells)
+                notes.append(taken_as_shells(shells))
+                as_it_is = _make_refusal(tree, index, ValueError(first_message))
     except _MUJOCO_ERRORS as error:
         refusal = _make_refusal(tree, index, error)
     problem = None if model is None else find_invalid_number(model)
@@ -1001,6 +1002,43 @@ def _compile_file(
         index,
         (tree.root, *tree.attached),
     )
+
+
+_NAN_PATTERN: Final = re.compile(r"[+-]?nan(\(\w*\))?", re.IGNORECASE)
+"""Pattern of a NaN in an MJCF."""
+
+
+def _find_nan(tree: IncludeTree) -> tuple[Diagnostic, Place] | None:
+    """Return the message on the first attribute that contains NaN, and its place; None without NaN.
+
+    MuJoCo refuses few of these attributes. It reads NaN in the position of an ``<inertial>``, for
+    example, as unspecified.
+    """
+    roots = reversed((tree.root, *tree.attached))
+    pending: list[tuple[XmlNode, tuple[str, str] | None]] = [(root, None) for root in roots]
+    found: tuple[Diagnostic, Place] | None = None
+    names: set[str] = set()
+    while pending:
+        node, subject = pending.pop()
+        name = node.attributes.get("class" if node.tag == "default" else "name")
+        if name:
+            names.add(name)
+            subject = node.tag, name
+        for attribute, value in node.attributes.items():
+            words = value.split()
+            if found is None and attribute != "name" and any(map(_NAN_PATTERN.fullmatch, words)):
+                problem = diagnose(
+                    "number-not-finite",
+                    subject=subject,
+                    tag=node.tag,
+                    attribute=attribute,
+                    value=quote_short(value),
+                    number=quote_short(next(filter(_NAN_PATTERN.fullmatch, words))),
+                )
+                found = problem, node.place
+        pending.extend((child, subject) for child in reversed(node.children))
+    # An element may have the name "nan".
+    return None if any(map(_NAN_PATTERN.fullmatch, names)) else found
 
 
 def _parse_spec(

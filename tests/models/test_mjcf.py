@@ -21,6 +21,7 @@ from pupper_analysis.models.mjcf import (
     add_site,
     compile_spec,
     find_invalid_number,
+    silence_mujoco,
     to_xml,
 )
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -84,21 +85,49 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
 )
 def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     """NaN, infinite and huge numbers in reading, comparing and compiling; `audit` reports the same
-    text.
+    text as reading. Files with NaN are refused by their text, which has line numbers.
     """
     text = mjcf_text(quadruped())
     assert old in text
     files = write(tmp_path, urdf_text(quadruped()), text.replace(old, new, 1))
-    for read in (
-        lambda: read_mjcf(files.mjcf),
-        lambda: compare_models(*files),
-        lambda: compile_spec(mujoco.MjSpec.from_file(str(files.mjcf)), files.mjcf),
+    in_file = "'nan' is not a finite number" if "nan" in new else message
+    for read, expected in (
+        (lambda: read_mjcf(files.mjcf), in_file),
+        (lambda: compare_models(*files), in_file),
+        (lambda: compile_spec(mujoco.MjSpec.from_file(str(files.mjcf)), files.mjcf), message),
     ):
         with pytest.raises(ModelError) as refusal:
             read()
-        assert message in str(refusal.value)
+        assert expected in str(refusal.value)
     audit = audit_model(files.mjcf)
-    assert any(message in finding.message for finding in audit.findings)
+    assert any(in_file in finding.message for finding in audit.findings)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('pos="0.01 0.002 -0.005"', 'pos="nan 0 0"', "body 'base': <inertial pos='nan 0 0'>"),
+        (WORLD, f'{WORLD}<geom name="a" size="1" mass="NaN"/>', "geom 'a': <geom mass='NaN'>"),
+        (WORLD, f'<option impratio="nan"/>{WORLD}', ": <option impratio='nan'>"),
+        (WORLD, f'<compiler settotalmass="nan"/>{WORLD}', ": <compiler settotalmass='nan'>"),
+    ],
+)
+def test_nan_that_mujoco_reads_as_unspecified_is_refused_with_its_line(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    """MuJoCo compiles each file: with another CoM, another mass or other options."""
+    text = mjcf_text(quadruped())
+    assert old in text
+    text = text.replace(old, new, 1)
+    with silence_mujoco():
+        mujoco.MjModel.from_xml_string(text)
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    with pytest.raises(ModelError) as refusal:
+        read_mjcf(path)
+    assert message in str(refusal.value)
+    line = text[: text.index(new)].count("\n") + 1
+    assert f"robot.xml:{line}: " in str(refusal.value)
 
 
 @pytest.mark.slow
