@@ -473,25 +473,9 @@ def _find_feet(draft: Draft) -> PassOutput:
         if names is None and feet:
             feet = _add_short_legs(draft, feet, poses)
     except ModelError as error:
-        losses = [
-            note
-            for note in draft.mjcf.notes
-            if note.code in ("files-missing", "meshes-left", "visual-meshes-left")
-        ]
-        losses = [note for note in losses if note.values.get("kind", "mesh") == "mesh"]
-        if not losses:
+        problem = _explain_missing_feet(draft.mjcf.notes)
+        if problem is None:
             raise
-        named = [note.values["files"] for note in losses]
-        problem = diagnose(
-            "no-feet-as-files-are-missing",
-            files=tuple(
-                str(name).replace("\\", "/").rpartition("/")[2]
-                for names in named
-                if isinstance(names, tuple)
-                for name in names
-            ),
-            package=next((name for note in losses if (name := note.values.get("package"))), None),
-        )
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:
         return draft, ()
@@ -502,6 +486,45 @@ def _find_feet(draft: Draft) -> PassOutput:
         feet = _fit_ellipsoids_again(draft, feet, balls)
     robot = build_robot(add_contact_frames(footless, feet, balls))
     return replace(draft, built=robot, footless=footless, feet=tuple(feet)), messages
+
+
+def _explain_missing_feet(messages: Sequence[Diagnostic]) -> Diagnostic | None:
+    """Return the message that the mesh files of feet are missing or unreadable; None without any.
+
+    Missing files, which a user can add, have precedence over files that MuJoCo refuses.
+    """
+    losses = [
+        note
+        for note in messages
+        if note.code in ("files-missing", "meshes-left", "visual-meshes-left")
+        and note.values.get("kind", "mesh") == "mesh"
+    ]
+    reasons = [note.values.get("why") for note in losses]
+    is_refused = [
+        isinstance(why, Diagnostic) and why.code != "no-such-mesh-file" for why in reasons
+    ]
+    missing = [note for note, refused in zip(losses, is_refused, strict=True) if not refused]
+    if missing:
+        package = next((name for note in missing if (name := note.values.get("package"))), None)
+        return diagnose(
+            "no-feet-as-files-are-missing", files=_list_file_names(missing), package=package
+        )
+    if losses:
+        return diagnose(
+            "no-feet-as-files-are-refused", files=_list_file_names(losses), why=reasons[0]
+        )
+    return None
+
+
+def _list_file_names(losses: Sequence[Diagnostic]) -> tuple[str, ...]:
+    """Return the file names, without folders, of notes on mesh files that were left out."""
+    listed = [note.values["files"] for note in losses]
+    return tuple(
+        str(name).replace("\\", "/").rpartition("/")[2]
+        for names in listed
+        if isinstance(names, tuple)
+        for name in names
+    )
 
 
 def _fit_ellipsoids_again(

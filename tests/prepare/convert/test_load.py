@@ -259,6 +259,21 @@ def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Pa
     assert "fixed base" not in message
 
 
+def test_ascii_meshes_of_feet_are_not_called_missing(tmp_path: Path) -> None:
+    """As simple_humanoid's box.stl: the file exists, but MuJoCo reads binary STL only."""
+    path = quadruped(tmp_path).urdf
+    (tmp_path / "foot.stl").write_text("solid foot\nendsolid foot\n" + " " * 200)
+    shape = '<collision><geometry><mesh filename="foot.stl"/></geometry></collision></link>'
+    rewrite_file(path, ("</link>", shape))
+    with pytest.raises(pa.ConfigurationError) as refused:
+        pa.solve_stand(pa.load_robot(path))
+    message = str(refused.value)
+    assert "no feet were found; a mesh file was left out, because" in message
+    assert "foot.stl" in message
+    assert "missing" not in message
+    assert "git lfs" not in message
+
+
 @pytest.mark.slow
 def test_limbs_on_a_link_fixed_to_a_massless_root_are_legs(tmp_path: Path) -> None:
     text = URDF.read_text()
