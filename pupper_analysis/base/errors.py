@@ -148,6 +148,10 @@ MAX_LISTED_NAMES = 16
 """Largest number of valid names that the message about an unknown name lists completely. Chosen:
 number of joints of a quadruped with four joints per leg."""
 
+MAX_CLOSE_NAMES_WIDTH = 36
+"""Largest width [characters] of the valid names in the short message about an unknown name, which
+the command line prints. Chosen: the rest of the message takes about 64 of 100 characters."""
+
 NUM_CLOSE_NAMES = 5
 """Number of similar names that the message of `UnknownNameError` lists if there are more than
 `MAX_LISTED_NAMES` valid names. Chosen, not tuned.
@@ -168,7 +172,8 @@ class UnknownNameError(ModelError):
     """Name that a model, or another list of valid names, does not contain.
 
     The message lists valid names, similar names first; of more than `MAX_LISTED_NAMES` valid names,
-    only the first `NUM_CLOSE_NAMES`, and the number of the omitted names.
+    only the first `NUM_CLOSE_NAMES`, and the number of the omitted names. The short message lists
+    the valid names if their width is at most `MAX_CLOSE_NAMES_WIDTH`, else the most similar names.
 
     Args:
         source: File or model.
@@ -184,6 +189,7 @@ class UnknownNameError(ModelError):
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
         name: Unknown name; the given value, if the value is no text.
         known: Valid names.
+        correction: Most similar valid name; empty if no name is similar enough to be meant.
     """
 
     def __init__(
@@ -206,6 +212,13 @@ class UnknownNameError(ModelError):
         listed = tuple(dict.fromkeys((*first, *listed)))
         if len(self.known) > MAX_LISTED_NAMES:
             listed = listed[:NUM_CLOSE_NAMES]
+        similar = (
+            *first,
+            *_find_by_words(given, self.known),
+            *_sort_by_similarity(given, self.known),
+        )
+        self.correction = next(iter(first), "") or _find_correction(given, self.known)
+        fitting = _choose_fitting_names(self.known, tuple(dict.fromkeys(similar)))
         problem = diagnose(
             "name-unknown",
             kind=Term(kind),
@@ -213,8 +226,43 @@ class UnknownNameError(ModelError):
             no_text=None if isinstance(name, str) else True,
             known=listed,
             others=len(self.known) - len(listed),
+            fitting=fitting,
+            omitted=len(self.known) - len(fitting),
         )
         super().__init__(source, problem)
+
+
+_MIN_CORRECTION_SIMILARITY = 0.75
+"""Smallest similarity (`difflib`, 0 to 1) of a valid name that an unknown name probably means.
+Chosen, not tuned: a wrong, missing or additional character in four."""
+
+
+def _sort_by_similarity(unknown: str, known: Sequence[str], cutoff: float = 0.0) -> list[str]:
+    """Sort the valid names with a similarity of at least ``cutoff`` to an unknown name.
+
+    Upper and lower case are equal. Equally similar names keep their order.
+    """
+    matcher = difflib.SequenceMatcher(b=unknown.lower())
+    similarity = {}
+    for name in known:
+        matcher.set_seq1(name.lower())
+        similarity[name] = matcher.ratio()
+    close = [name for name in similarity if similarity[name] >= cutoff]
+    return sorted(close, key=lambda name: -similarity[name])
+
+
+def _find_correction(unknown: str, known: Sequence[str]) -> str:
+    """Return the valid name that an unknown name probably means; empty if there is none."""
+    return next(iter(_sort_by_similarity(unknown, known, _MIN_CORRECTION_SIMILARITY)), "")
+
+
+def _choose_fitting_names(known: Sequence[str], similar: Sequence[str]) -> tuple[str, ...]:
+    """Return all valid names if they are short enough for a line, else the most similar names."""
+    if len(", ".join(known)) <= MAX_CLOSE_NAMES_WIDTH:
+        return tuple(known)
+    counts = range(1, len(similar) + 1)
+    fits = [count for count in counts if len(", ".join(similar[:count])) <= MAX_CLOSE_NAMES_WIDTH]
+    return tuple(similar[: max(fits, default=1)])
 
 
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
@@ -222,18 +270,21 @@ def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
 
     If there are many names, the result contains only some of them.
     """
+    others: Iterable[str] = known
+    if len(known) > MAX_LISTED_NAMES:
+        others = _sort_by_similarity(unknown, known)[:NUM_CLOSE_NAMES]
+    return tuple(dict.fromkeys((*_find_by_words(unknown, known), *others)))
+
+
+def _find_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Return the valid names that contain an unknown name, then those of some of its words."""
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))
     containing = [name for name in known if wanted in name.lower()]
     contained = [
         name for name in known if (own := set(_WORD.findall(name.lower()))) and own <= words
     ]
-    others: Iterable[str] = known
-    if len(known) > MAX_LISTED_NAMES:
-        folded = {name.lower(): name for name in reversed(known)}
-        close = difflib.get_close_matches(wanted, folded, NUM_CLOSE_NAMES, cutoff=0.0)
-        others = (folded[name] for name in close)
-    return tuple(dict.fromkeys((*containing, *contained, *others)))
+    return (*containing, *contained)
 
 
 class ConfigurationError(PupperAnalysisError):

@@ -7,6 +7,7 @@ command also has.
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
@@ -15,7 +16,7 @@ from typing import Any
 
 import click
 
-from pupper_analysis.base.errors import ModelError, StanceUnreachableError
+from pupper_analysis.base.errors import ModelError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.tools import find_format
@@ -303,6 +304,24 @@ def complete_forced_command() -> str:
         return ""
     typed = list(context.meta.get(TYPED_WORDS, ()))
     words = ["--force", *typed] if "--" in typed else [*typed, "--force"]
+    return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
+
+
+def complete_corrected_command(error: UnknownNameError) -> str:
+    """Create the typed command line with the most similar valid name in place of an unknown name.
+
+    Returns:
+        Command line; empty if no valid name is similar, or no option or argument contains the
+        unknown name as a whole word.
+    """
+    context = click.get_current_context(silent=True)
+    if context is None or not error.correction or not isinstance(error.name, str):
+        return ""
+    pattern = re.compile(rf"(?<![^=,:\s]){re.escape(error.name)}(?![^=,:\s])")
+    typed = list(map(str, context.meta.get(TYPED_WORDS, ())))
+    words = [pattern.sub(lambda _: error.correction, word) for word in typed]
+    if words == typed:
+        return ""
     return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
 
 

@@ -32,6 +32,7 @@ from pupper_analysis.base.errors import (
     OutputError,
     PupperAnalysisError,
     StanceUnreachableError,
+    UnknownNameError,
 )
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
@@ -387,7 +388,11 @@ class Command(click.Command):
                 raise named from error
             raise
         except ModelError as error:
-            if error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
+            if isinstance(error, UnknownNameError):
+                from pupper_analysis.cli.next_step import complete_corrected_command
+
+                error.add_note(complete_corrected_command(error))
+            elif error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
                 from pupper_analysis.cli.next_step import complete_audit_command
 
                 error.add_note(complete_audit_command(error))

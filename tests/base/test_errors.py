@@ -41,6 +41,18 @@ def test_unknown_name_of_many_lists_the_five_most_similar_names() -> None:
     assert "there are: a, b" in str(pa.UnknownNameError("as if", "frame", "c", ["a", "b"]))
 
 
+def test_short_message_about_an_unknown_name_fits_into_a_line() -> None:
+    """Reference: names of Pupper's joints; the similarity differs by one missing letter."""
+    known = [f"leg_{side}_{number}" for side in ("front_r", "front_l") for number in (1, 2, 3)]
+    error = pa.UnknownNameError("v3", "joint", "leg_frnt_l_1", known)
+    assert error.correction == "leg_front_l_1"
+    assert error.diagnostic.short == (
+        "v3: no joint 'leg_frnt_l_1'; most similar: leg_front_l_1, leg_front_r_1 and 4 more"
+    )
+    feet = pa.UnknownNameError("v3", "foot", "XX", ["FR", "FL"])
+    assert (feet.diagnostic.short, feet.correction) == (str(feet), "")
+
+
 @pytest.mark.parametrize(
     ("unknown", "first"),
     [

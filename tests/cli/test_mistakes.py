@@ -9,6 +9,7 @@ import pytest
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import parse_contact
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -324,7 +325,10 @@ def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], messag
         (("walk", "v3", "--command", "0.5", "0", "0"), "blanks: --command 0.5,0,0 (see"),
         (("v3",), "'v3'. v3 is a robot; type pupper-analysis stand v3 (see"),
         (("my.xml", "--height", "3cm"), "type pupper-analysis stand my.xml --height 3cm (see"),
-        (("payload", "v3", "--continuous", "dephy"), "no motor 'dephy'; the most similar names"),
+        (
+            ("payload", "v3", "--continuous", "dephy"),
+            "no motor 'dephy'; most similar: dephy-actpack",
+        ),
         (("fit", "v3"), "exactly one task is needed: --plan 12 -o plan.csv"),
         (("convert", "a.urdf"), "option -o is missing: The file to write: .xml"),
     ],
@@ -342,3 +346,25 @@ def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
     assert shared.parse_quantity("angle", "6.28") == 6.28
     with pytest.raises(ValueError, match="90"):
         shared.parse_quantity("angle", "90")
+
+
+@pytest.mark.parametrize(
+    ("typed", "corrected"),
+    [
+        ("stand v3 --kp 5 --kp leg_frnt_l_1=9", "stand v3 --kp 5 --kp leg_front_l_1=9"),
+        (
+            "stand v3 --contact leg_frnt_l_3=wall:0.4m",
+            "stand v3 --contact leg_front_l_3=wall:0.4m",
+        ),
+        ("stand v3 --kp hose=9", ""),
+    ],
+)
+def test_refusal_of_a_misspelt_name_is_followed_by_the_corrected_command(
+    typed: str, corrected: str
+) -> None:
+    """Reference: the names of v3; no name is similar to ``hose``."""
+    result = answer(*typed.split())
+    fault, *steps = result.stderr.splitlines()
+    assert result.returncode == 2
+    assert len(fault) <= MAX_ANSWER_WIDTH
+    assert steps == ([f"  next: pupper-analysis {corrected}"] if corrected else [])

@@ -105,7 +105,7 @@ BAD: dict[str, tuple[list[str], str]] = {
     "map without =": (["robot.urdf", "robot.xml", "--map", "hip0"], "map: 'hip0' is not of the"),
     "map of an unknown name": (
         ["robot.urdf", "robot.xml", "--map", "hop=hip0"],
-        "'hop'; there are: hip0, knee0,",
+        "'hop'; most similar: hip0, ",
     ),
     "map of two to one": (
         ["robot.urdf", "robot.xml", "--map", "hip0=hip1", "--map", "hip1=hip1"],
