@@ -329,7 +329,6 @@ def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], messag
             ("payload", "v3", "--continuous", "dephy"),
             "no motor 'dephy'; most similar: dephy-actpack",
         ),
-        (("fit", "v3"), "exactly one task is needed: --plan 12 -o plan.csv"),
         (("convert", "a.urdf"), "option -o is missing: The file to write: .xml"),
     ],
     ids=str,
@@ -357,9 +356,10 @@ def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
             "stand v3 --contact leg_front_l_3=wall:0.4m",
         ),
         ("stand v3 --kp hose=9", ""),
+        ("fit v3", "fit v3 --plan 12 -o plan.csv"),
     ],
 )
-def test_refusal_of_a_misspelt_name_is_followed_by_the_corrected_command(
+def test_refusal_of_a_mistake_is_followed_by_the_corrected_command(
     typed: str, corrected: str
 ) -> None:
     """Reference: the names of v3; no name is similar to ``hose``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -221,9 +221,7 @@ def command(
         "--log": bool(logs),
         "--stands": stands is not None,
     }
-    if [*modes.values()].count(True) != 1:
-        raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
-    mode = next(name for name, is_selected in modes.items() if is_selected)
+    mode = _find_mode(modes)
     refuse_unused(mode, _MODE_OPTIONS)
     if output is None:
         refuse_alone(("--output",), "anyway")
@@ -284,6 +282,21 @@ def command(
         shared.confirm_written(output)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
+
+
+def _find_mode(modes: Mapping[str, bool]) -> str:
+    """Return the typed option that selects the task of the command.
+
+    Raises:
+        ConfigurationError: If no or several such options were typed.
+    """
+    selected = [name for name, is_selected in modes.items() if is_selected]
+    if len(selected) == 1:
+        return selected[0]
+    refused = ConfigurationError("fit", diagnose("fit-of-nothing"))
+    if not selected:
+        refused.add_note(complete_command(NextStep("fit", ("--plan", "12", "-o", "plan.csv"))))
+    raise refused
 
 
 def _check_stands(

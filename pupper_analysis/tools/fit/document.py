@@ -7,6 +7,7 @@ Outputs are documents that are independent of the output format, with values in 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
@@ -334,12 +335,21 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 candidates=str(plan.candidates),
                 determined=str(num_determined),
                 parameters=str(len(plan.expected)),
+                kinds=_count_determined(plan),
             ),
             *_describe_known_mass(plan),
         ),
         details=(text("how-to-take-stands"),),
         brief=True,
     )
+
+
+def _count_determined(plan: StandPlan) -> str:
+    """Return the number of parameters of each kind that the measurements alone determine."""
+    counts = Counter(
+        estimate.kind for estimate in plan.expected if estimate.determined is Determined.DATA
+    )
+    return ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:

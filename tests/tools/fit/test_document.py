@@ -134,6 +134,15 @@ def test_documents_equal_the_golden_files(name: str) -> None:
     assert write_document(name) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 
 
+def test_plan_counts_the_determined_parameters_by_kind() -> None:
+    """Reference: two masses are determined by measurements alone, one in part by the prior."""
+    known = describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.DATA)
+    plan = replace(stand_plan(), expected=(known, known, *stand_plan().expected))
+    line = getattr(make_document(plan).findings[0], "short", "")
+    assert line.startswith("2 stands narrow 2 of 3 parameters to 1/3 of the prior sigma: 2 ")
+    assert line.endswith(f": 2 {known.kind}")
+
+
 def write_document(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
 
