@@ -177,6 +177,8 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         added=bool(study.servos.made),
         kp=_format_range((one.kp for one in study.classes), study.units.stiffness),
         kd=_format_range((one.kd for one in study.classes), study.units.damping),
+        stiffnesses=_format_range((one.kp for one in study.classes), between=".."),
+        dampings=_format_range((one.kd for one in study.classes), between=".."),
         least="" if least_factor is None else format_number(least_factor, ".3g"),
         most="" if largest is None else format_number(largest, ".3g"),
     )
@@ -191,13 +193,13 @@ def _find_least_stiffness(study: GainStudy) -> float:
     return max(bound, study.least_kp_alone or 0.0)
 
 
-def _format_range(gains: Iterable[float], unit: str) -> str:
+def _format_range(gains: Iterable[float], unit: str = "", between: str = " to ") -> str:
     """Return the range of the positive gains with three digits, and the unit: "1 to 2 N m/rad"."""
     used = sorted(gain for gain in gains if gain > 0)
     if not used:
-        return f"0 {unit}"
+        return f"0 {unit}".rstrip()
     texts = dict.fromkeys(format_number(gain, ".3g") for gain in (used[0], used[-1]))
-    return f"{' to '.join(texts)} {unit}"
+    return f"{between.join(texts)} {unit}".rstrip()
 
 
 def _describe_controller(study: GainStudy) -> doc.Words:
