@@ -53,7 +53,13 @@ tuned."""
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
     """Create the report of a study of robot designs."""
     failed = sum(group.designs for group in outcome.failures)
-    count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
+    standing = outcome.table.get("stands")
+    count_text = text(
+        "count-designs-of-which-failed",
+        count=len(outcome.table),
+        failed=failed,
+        standing=None if standing is None else str(int((standing == 1).sum())),
+    )
     if outcome.failures:
         kinds = join_words(
             text("count-kind", count=group.designs, kind=word(group.kind))

@@ -247,6 +247,10 @@ def test_extreme_designs_with_equal_values_have_the_shared_variables() -> None:
     line = study_document(found).findings[1]
     expected = "m: 1 to 3; smallest at scale 0.8 (2 designs are equal), largest at scale 1, kp 10"
     assert get_english(line) == f"{expected} N m/rad"
+    assert get_english(study_document(found).findings[0]) == "4 designs, none failed"
+    table["stands"] = [1.0, 1.0, 0.0, math.nan]
+    count = study_document(found).findings[0]
+    assert get_english(count) == "4 designs, none failed; 2 of 4 stand"
     table["m"] = [1.0, 3.0, 3.0, 1.0]
     line = study_document(found).findings[1]
     assert "smallest in 2 designs with different values" in get_english(line)
