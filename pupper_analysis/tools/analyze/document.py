@@ -82,9 +82,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     failures = _list_failures(analysis)
     warnings = tuple(_select_warnings(analysis, first))
     repeated: tuple[doc.Words, ...] = ()
-    gains: tuple[doc.Words, ...] = ()
-    if exceeds_explicit_damping(analysis.servos):  # `stand` states the gains, too
-        gains = tuple(describe_servo_gains(analysis.servos, analysis.verdict.servos))
+    gains = tuple(describe_servo_gains(analysis.servos, analysis.verdict.servos))
+    if gains:  # `stand` states the gains, too
         warnings, repeated = split_servo_statement(warnings, analysis.verdict.servos)
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, list_motions(runs)),
