@@ -21,7 +21,7 @@ from pathlib import Path
 import click
 
 import pupper_analysis
-from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.inputs import discard_standard_input
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.runs import ensure_run
@@ -187,9 +187,9 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         where = error.ctx.command_path if error.ctx else command.name
         text = f"{error.format_message()} (see: {where} --help)"
         _print_error(text, *getattr(error, "__notes__", ()))
-    except UnknownNameError as error:
-        _print_error(error.diagnostic.short, *getattr(error, "__notes__", ()))
-    except (PupperAnalysisError, click.ClickException) as error:
+    except PupperAnalysisError as error:
+        _print_error(error.diagnostic.short or str(error), *getattr(error, "__notes__", ()))
+    except click.ClickException as error:
         _print_error(str(error), *getattr(error, "__notes__", ()))
     except click.Abort as error:
         raise KeyboardInterrupt from error

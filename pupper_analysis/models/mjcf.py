@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_content, read_input
-from pupper_analysis.models.places import one_line
+from pupper_analysis.models.places import one_line, shorten_message
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, make_unique_name
 
 
@@ -208,7 +208,9 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
         with silence_mujoco():
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise ModelError(source, diagnose("mjcf-not-compiled", message=one_line(error))) from error
+        message = one_line(error)
+        problem = diagnose("mjcf-not-compiled", message=message, cause=shorten_message(message))
+        raise ModelError(source, problem) from error
     problem = find_invalid_number(model)
     if problem is not None:
         raise ModelError(source, problem)

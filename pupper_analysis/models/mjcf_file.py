@@ -39,6 +39,7 @@ from pupper_analysis.models.places import (
     make_file_error,
     one_line,
     quote_short,
+    shorten_message,
 )
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml import (
@@ -1059,7 +1060,7 @@ def _make_refusal(
 ) -> tuple[Diagnostic, Place]:
     """Convert an error of MuJoCo's compiler to a diagnostic, and locate the element at fault."""
     message, place = _locate_message(tree, index, error)
-    return diagnose("mjcf-not-compiled", message=message), place
+    return diagnose("mjcf-not-compiled", message=message, cause=shorten_message(message)), place
 
 
 def _locate_message(

@@ -6,6 +6,7 @@ functions ``make_..._error`` create a ``ModelError`` whose message starts with t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -136,6 +137,20 @@ def source_name(path: Path, line: int | None = None) -> str:
     """Return a path as printable text for messages, followed by ``:LINE`` if a line is given."""
     name = str(path) if str(path).isprintable() else repr(str(path))
     return name if line is None else f"{name}:{line}"
+
+
+def shorten_message(message: str) -> str:
+    """Shorten an error message of MuJoCo to the cause and the name of the element, if any.
+
+    The line is omitted, because reports state the place of the error. An example is
+    ``unknown element 'foo' in equality constraint 0``.
+    """
+    cause = message.removeprefix("Error: ")
+    return _MUJOCO_ELEMENT_PATTERN.sub(lambda found: f" ({found[1]})" if found[1] else "", cause)
+
+
+_MUJOCO_ELEMENT_PATTERN = re.compile(r" *Element name '([^']*)', id \d+(?:, line \d+)?$")
+"""End of an error message of MuJoCo's compiler: name, index and line of the element at fault."""
 
 
 def one_line(text: object) -> str:

@@ -8,6 +8,7 @@ file and, if known, line.
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -462,7 +463,10 @@ def check_joint(
         element = joint.find(tag)
         if element.get("link") not in links:
             link = str(element.get("link"))
-            problem = diagnose("joint-end-no-link", subject=subject, end=Term(tag), link=link)
+            alike = difflib.get_close_matches(link, links, 1)
+            problem = diagnose(
+                "joint-end-no-link", subject=subject, end=Term(tag), link=link, alike=alike
+            )
             raise make_element_error(path, element, problem)
 
 

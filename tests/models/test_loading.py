@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.conversion import pinocchio_from_urdf
 from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf, read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.places import Place
+from pupper_analysis.models.places import Place, shorten_message
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from tests.support import corpus
@@ -633,3 +633,22 @@ def test_body_with_a_missing_mesh_and_a_missing_texture_is_listed_once(tmp_path:
     file = read_mjcf(path)
     assert [note.code for note in file.notes].count("files-missing") == 2
     assert file.bodies_with_missing_meshes == ("b",)
+
+
+@pytest.mark.parametrize(
+    ("message", "cause"),
+    [
+        (
+            "Error: unknown element 'foo' in equality constraint 0 Element name '', id 0, line 3",
+            "unknown element 'foo' in equality constraint 0",
+        ),
+        (
+            "Error: mass must be positive Element name 'hip', id 4, line 12",
+            "mass must be positive (hip)",
+        ),
+        ("XML Error: missing tag", "XML Error: missing tag"),
+    ],
+)
+def test_messages_of_mujoco_are_shortened_to_cause_and_element(message: str, cause: str) -> None:
+    """Reference: messages of MuJoCo's compiler; the line is stated by the report itself."""
+    assert shorten_message(message) == cause

@@ -102,8 +102,10 @@ def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> 
     finding = text("element-message", element=element, message=message)
     if len(finding.short or finding.en) <= MAX_SUMMARY_WIDTH:
         return finding
-    title = get_rule_text(rule, "title")
-    return replace(finding, short=f"{element.short}: {title.en[:1].lower()}{title.en[1:]}")
+    title = get_rule_text(rule, "title").en
+    is_name = any(map(str.isupper, title.partition(" ")[0][1:]))  # such as MuJoCo
+    start = title[:1] if is_name else title[:1].lower()
+    return replace(finding, short=f"{element.short}: {start}{title[1:]}")
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
