@@ -170,6 +170,18 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
     assert step == NextStep("audit", ("--fix",))
 
 
+def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: Path) -> None:
+    """Reference: the package of the URI; `hold` was proposed for a legged robot."""
+    file = tmp_path / "robot.urdf"
+    mesh = '<visual><geometry><mesh filename="package://dog/foot.stl"/></geometry></visual></link>'
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
+    file.write_text(text.replace("</link>", mesh, 1))
+    lines = answer("audit", "robot.urdf", folder=tmp_path).stdout.splitlines()
+    assert lines[1].endswith("mesh foot.stl missing: --package dog=DIR")
+    assert lines[2] == "  next: pupper-analysis audit robot.urdf --package dog=DIR"
+
+
 @pytest.mark.parametrize(
     ("typed", "expected"),
     [

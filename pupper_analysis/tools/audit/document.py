@@ -118,9 +118,12 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
         return doc.NextStep("audit", ("-v",))
     if not simulated and not is_published_name(audit.file):
         return None
+    missing = [finding for finding in audit.findings if finding.rule == "mesh-missing"]
+    packages = (finding.diagnostic.values.get("package") for finding in missing)
+    if package := next(filter(None, packages), None):  # DIR is replaced by the user
+        return doc.NextStep("audit", ("--package", f"{package}=DIR"))
     # Without meshes, a robot may lack its feet; `hold` needs no meshes.
-    complete = not any(finding.rule == "mesh-missing" for finding in audit.findings)
-    return doc.NextStep("stand" if audit.floating and complete else "hold")
+    return doc.NextStep("stand" if audit.floating and not missing else "hold")
 
 
 def _pluralise_severity(severity: str, count: int) -> str:

@@ -67,20 +67,29 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 def _summarise_comparison(check: RepositoryCheck) -> doc.Words:
     """Return the numbers of findings, and that nothing was compared if there is no pair."""
-    is_single = [len(pair.files) == 1 for pair in check.pairs]
-    if check.failures or len(is_single) < 2 or not all(is_single):
+    if not _is_uncompared(check):
         return summarise_check(check)
-    return join_words([summarise_check(check), text("nothing-compared")], "semicolon")
+    remark = text("nothing-compared", files=str(len(check.pairs)))
+    return join_words([summarise_check(check), remark], "semicolon")
+
+
+def _is_uncompared(check: RepositoryCheck) -> bool:
+    """Return True if a passed check has at least two files, and no pair of a URDF and an MJCF."""
+    is_single = [len(pair.files) == 1 for pair in check.pairs]
+    return not check.failures and len(is_single) > 1 and all(is_single)
 
 
 def _describe_first_cause(check: RepositoryCheck) -> Iterable[doc.Words]:
     """Return the first finding to fix; if no finding fails, the first warning and what was checked.
 
-    Files that were not compared precede the warning.
+    Files that were not compared precede the warning. What was checked is omitted if nothing was
+    compared.
     """
     first = check.remarks[0] if check.failures else _find_first_warning(check)
     findings = () if first is None else (_describe_placed_finding(check, first),)
     if check.failures:
+        return findings
+    if findings and _is_uncompared(check):  # the summary states the number of files
         return findings
     files = {file for pair in check.pairs for file in pair.files}
     single = [Path(pair.files[0]) for pair in check.pairs if len(pair.files) == 1]
