@@ -72,7 +72,7 @@ ANALYZE = ("analyze_variant.py", "--json", "all.json")
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((*ANALYZE, "nobody"), "known variants: original, long-leg, heavy, v3"),
+        ((*ANALYZE, "nobody"), "known: original, long-leg, heavy, v3"),
         ((*ANALYZE, "original", "nobody"), "'nobody'"),
         ((*ANALYZE, "--leg-scale", "nan"), "leg_scale nan"),
         ((*ANALYZE, "--frobnicate"), "No such option"),

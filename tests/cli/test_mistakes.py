@@ -127,9 +127,9 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         ),
         (
             ("audit", "GO2"),
-            "'GO2' is not valid; did you mean unitree_go2? known variants: original",
+            "'GO2' is not valid; did you mean unitree_go2?",
         ),
-        (("diff", "v3", "nobody"), "'nobody' is not valid; known variants: original, long-leg"),
+        (("diff", "v3", "nobody"), "'nobody' is not valid; known: original, long-leg"),
         (("stand", "package://"), "incomplete path: write package://NAME/FILE"),
         (("stand", "package:///x"), "incomplete path: write package://NAME/FILE"),
         (("convert", "package:", "-o", "x.xml"), "incomplete path: write package://NAME"),

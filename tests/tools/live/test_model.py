@@ -450,7 +450,7 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nobody"], "name 'nobody' is not valid; known variants: original,"),
+        (["nobody"], "name 'nobody' is not valid; known: original,"),
         (["v3", "--stance", "nonsense.toml"], "nonsense.toml: there is no such file"),
         (["v3", "--stance", "tail.toml"], "v3: no foot 'tail'; there are: FR,"),
         (["v3", "--stance", "payload.toml"], "mass: -1.0 kg is not a finite number >= 0"),
