@@ -14,6 +14,7 @@ from itertools import filterfalse, zip_longest
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, format_pair
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -295,9 +296,23 @@ def _is_between_models(finding: Disagreement, others: Set[str]) -> bool:
 
 
 def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
-    """Yield the text of the most severe disagreement between the sources, if any."""
-    if contract.findings:
-        yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
+    """Yield the text of the most severe disagreement between the sources, if any.
+
+    The short form has the name of a variant in place of its file.
+    """
+    if not contract.findings:
+        return
+    finding = contract.findings[0]
+    diagnostic = finding.diagnostic
+    models = {source.name for source in contract.sources if source.role == Role.MODEL}
+    if is_variant(contract.model) and len(models.intersection(finding.sources)) == 1:
+        shown = {
+            key: contract.model
+            for key in ("short_first", "short_second")
+            if diagnostic.values.get(key) in models
+        }
+        diagnostic = replace(diagnostic, values=FrozenDict({**diagnostic.values, **shown}))
+    yield text("contract-first", finding=doc.diagnostic_text(diagnostic))
 
 
 def _find_compared_quantities(contract: Contract) -> list[str]:

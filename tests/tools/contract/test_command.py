@@ -111,6 +111,8 @@ def test_next_command_is_crosscheck_if_urdf_and_mjcf_differ_else_walk(tmp_path: 
     )
     assert lines[2].startswith("  next: pupper-analysis walk ")
     assert lines[2].endswith(f" --policy {sources['policy.json']}")
+    lines = run(tmp_path, "v3", sources["policy.json"]).stdout.splitlines()
+    assert lines[1].endswith(": 0.25 in policy.json, 0.1 N m s/rad in v3")  # as typed
     other = tmp_path / "robot.urdf"
     other.write_text(URDF.read_text().replace('effort="3"', 'effort="4"', 1))
     lines = run(tmp_path, other, MJCF).stdout.splitlines()

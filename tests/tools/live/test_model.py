@@ -458,7 +458,7 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         (["v3", "--host", "203.0.113.7"], "--host, --port: cannot serve on 203.0.113.7"),
         (
             ["arm.urdf"],
-            "machine has a fixed base and cannot stand; hold computes torques and payload",
+            "arm.urdf has a fixed base and cannot stand; hold computes torques and payload",
         ),
     ],
 )
