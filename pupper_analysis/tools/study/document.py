@@ -58,7 +58,8 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         "count-designs-of-which-failed",
         count=len(outcome.table),
         failed=failed,
-        standing=None if standing is None else str(int((standing == 1).sum())),
+        # The kinds of failures state whether the robot or the computation fails.
+        standing=None if failed or standing is None else str(int((standing == 1).sum())),
     )
     if outcome.failures:
         kinds = join_words(
