@@ -209,8 +209,8 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         message = one_line(error)
-        problem = diagnose("mjcf-not-compiled", message=message, cause=shorten_message(message))
-        raise ModelError(source, problem) from error
+        refusal = diagnose("mjcf-not-compiled", message=message, cause=shorten_message(message))
+        raise ModelError(source, refusal) from error
     problem = find_invalid_number(model)
     if problem is not None:
         raise ModelError(source, problem)
