@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import FileFinding, Number, Table, get_english
 from pupper_analysis.present.documents.registry import make_document
 from pupper_analysis.present.formats import write_github, write_junit
@@ -140,6 +141,13 @@ def test_joint_of_one_file_alone_is_the_printed_cause(tmp_path: Path) -> None:
     text = printed(comparison)
     assert text.startswith("DISAGREE robot.urdf and robot.xml: the files have different joints\n")
     assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
+
+
+def test_link_of_another_robot_is_the_first_word_of_the_verdict() -> None:
+    """A line with long names of files is cut at its end, which contained the link."""
+    masses = {"one": Quantity(3.3, "kg"), "two": Quantity(6.921, "kg")}
+    found = diagnose("inertials-of-another-robot", bodies=("base",), **masses)
+    assert found.short == "base: mass (3.3 kg, 6.921 kg), com, inertia differ"
 
 
 def read_findings(comparison: Comparison) -> list[str]:

@@ -14,7 +14,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.units import HINGE_UNITS
-from pupper_analysis.present.document import NextStep, Number, Table, get_english
+from pupper_analysis.present.document import NextStep, Number, Table, get_english, text
+from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.stance.stand import stand_statics
@@ -493,3 +494,15 @@ def test_dataframe_contains_the_curve_and_the_table_counts_missing_values() -> N
     np.testing.assert_array_equal(gains.to_dataframe()["largest_kd_factor"], gains.curve_dampings)
     missing = int(np.isnan(gains.curve_dampings).sum())
     assert f"{missing} nan" in gains._repr_html_() or not missing
+
+
+def test_verdict_on_gains_that_differ_states_values_and_factors() -> None:
+    """Reference: the smallest and the largest positive gain, and the factors of the bounds."""
+    stiffnesses, dampings = (
+        _format_range(gains, between="..") for gains in ((53.3, 2660.0, 0.0), (1.03, 65.8))
+    )
+    values = {"added": True, "kp": "", "kd": "", "stiffnesses": stiffnesses, "dampings": dampings}
+    line = text("gains-factors", **values, least="0.0135", most="1.93").short
+    expected = "added kp 53.3..2660 (times 0.0135 or more), kd 1.03..65.8 (times 1.93 or less)"
+    assert line == expected
+    assert len(f"STABLE panda.urdf: {line}") <= MAX_ANSWER_WIDTH
