@@ -34,7 +34,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.runs import is_command_line
-from pupper_analysis.base.units import find_untyped_degrees
+from pupper_analysis.base.units import find_untyped_degrees, lacks_unit
 
 _P = ParamSpec("_P")
 """Parameters of a function whose arguments `check_arguments` checks."""
@@ -241,7 +241,10 @@ def check_length(name: str, value: object) -> float:
     number = check_finite(name, value)
     if abs(number) > MAX_LENGTH:
         message = diagnose(
-            "length-beyond", length=Quantity(number, "m"), farthest=Quantity(MAX_LENGTH, "m")
+            "length-beyond",
+            length=Quantity(number, "m"),
+            farthest=Quantity(MAX_LENGTH, "m"),
+            written=suggest_millimetres(number),
         )
         raise ConfigurationError(name, message)
     return number
@@ -264,6 +267,23 @@ def suggest_degrees(angle: float, low: float, high: float) -> str | None:
     if degrees is None:
         return None
     return f"{degrees:g}deg" if is_command_line() else f"math.radians({degrees:g})"
+
+
+def suggest_millimetres(*lengths: float) -> str | None:
+    """Return a length or point in m, if its user has probably written mm.
+
+    For example, ``0.12`` for a length of 120, and ``(0.02, 0)`` for the point (20, 0).
+
+    Args:
+        lengths: Length, or coordinates of a point [m].
+
+    Returns:
+        The text; None if mm were probably not meant (`lacks_unit`).
+    """
+    if not any(lacks_unit("length", length) for length in lengths):
+        return None
+    text = ", ".join(f"{length / 1000:g}" for length in lengths)
+    return text if len(lengths) == 1 else f"({text})"
 
 
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:

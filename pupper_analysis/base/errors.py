@@ -339,6 +339,7 @@ class StanceUnreachableError(PupperAnalysisError):
         limits: Mapping[str, Mapping[str, Any]] | None = None,
         lacks: Diagnostic | None = None,
         units: Mapping[str, str] | None = None,
+        lengths: Iterable[Diagnostic] = (),
     ) -> None:
         self.lacks = lacks
         self.limits = dict(limits or {})
@@ -377,6 +378,7 @@ class StanceUnreachableError(PupperAnalysisError):
                 joints=joints,
                 possible=self.possible.values(),
                 advice=None if self.possible else lacks or diagnose("try-another-height"),
+                lengths=tuple(lengths),
             )
         )
 

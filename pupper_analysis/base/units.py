@@ -182,6 +182,31 @@ def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
     return angle if is_typed and low <= math.radians(angle) <= high else None
 
 
+MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
+    # Probably mm or cm: no two parts of a legged robot are 5 m apart (chosen, not tuned).
+    "length": math.nextafter(5.0, 0.0),  # 5 m itself is refused
+    # Probably degrees: more than one turn (chosen, not tuned).
+    "angle": 2 * math.pi,
+    # Probably milliseconds: the largest delay of a controller that is accepted is 0.5 s
+    # (`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter.
+    "time": 0.5,
+    # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
+    "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
+}
+"""{quantity: upper bound of the absolute value of a number without a unit [SI unit]}. A larger
+finite number is probably in another unit: the command line refuses such a number, and errors of the
+Python API suggest the other unit.
+"""
+
+
+def lacks_unit(kind: str, value: float) -> bool:
+    """Return True if a number without a unit is probably not in the SI unit.
+
+    Such a number is finite and beyond the bound of its quantity in `MAX_BARE_NUMBERS`.
+    """
+    return MAX_BARE_NUMBERS.get(kind, math.inf) < abs(value) < math.inf
+
+
 DIMENSIONLESS_UNIT: Final = "1"
 """Unit in the metadata of a field that is a ratio, a direction or a count."""
 

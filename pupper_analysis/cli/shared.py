@@ -37,7 +37,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import ensure_run, register_input
-from pupper_analysis.base.units import UNIT_FACTORS, Position
+from pupper_analysis.base.units import UNIT_FACTORS, Position, lacks_unit
 
 if TYPE_CHECKING:
     from pupper_analysis.base.results import Result
@@ -943,21 +943,6 @@ def parse_quantity(kind: str, text: str) -> float:
     return value
 
 
-MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
-    # Probably mm or cm: no two parts of a legged robot are 5 m apart (chosen, not tuned).
-    "length": math.nextafter(5.0, 0.0),  # 5 m itself is refused
-    # Probably degrees: more than one turn (chosen, not tuned).
-    "angle": 2 * math.pi,
-    # Probably milliseconds: the largest delay of a controller that is accepted is 0.5 s
-    # (`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter.
-    "time": 0.5,
-    # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
-    "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
-}
-"""{quantity: upper bound of the absolute value of a number without a unit [SI unit]}. A larger
-finite number is refused, since it is probably in another unit.
-"""
-
 _MISSING_UNIT_CODES = {
     "length": "length-without-unit",
     "angle": "angle-without-unit",
@@ -967,14 +952,6 @@ _MISSING_UNIT_CODES = {
 """{quantity of `MAX_BARE_NUMBERS`: code of the message about a larger number without a unit}. The
 name of the quantity is also the name of the message's value.
 """
-
-
-def lacks_unit(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is probably not in the SI unit.
-
-    Such a number is finite and beyond the bound of its quantity in `MAX_BARE_NUMBERS`.
-    """
-    return MAX_BARE_NUMBERS.get(kind, math.inf) < abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:

@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.base import lapack
+from pupper_analysis.base.arguments import suggest_degrees, suggest_millimetres
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -391,7 +392,8 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
     if checked and (lower > upper).any():
         name = robot.joint_names[int(np.argmax(lower - upper))]
         margin = Quantity(task.joint_margin, "rad")
-        problem = diagnose("margin-leaves-no-range", margin=margin, joint=name)
+        written = suggest_degrees(task.joint_margin, 0.0, math.pi)
+        problem = diagnose("margin-leaves-no-range", margin=margin, joint=name, written=written)
         raise ConfigurationError("joint_margin", problem)
     for joint, position in resolve_posture(robot, task.posture).items():
         index = robot.joint_names.index(joint)
@@ -420,11 +422,18 @@ def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...])
             hull.centroid if kept.is_empty else kept, shapely.Point(place[:2])
         )
         inner = Vector((round(near.x, 5), round(near.y, 5)), "m")
-        problem = diagnose("place-outside-polygon", place=there, distance=outside, nearest=inner)
+        problem = diagnose(
+            "place-outside-polygon",
+            place=there,
+            distance=outside,
+            nearest=inner,
+            written=suggest_millimetres(*place[:2]),
+        )
         raise ConfigurationError("com", problem)
     if inside < task.com_margin:
         margin, most = Quantity(task.com_margin, "m"), Quantity(math.floor(1e5 * inside) / 1e5, "m")
-        problem = diagnose("margin-exceeds-polygon", margin=margin, most=most)
+        written = suggest_millimetres(task.com_margin)
+        problem = diagnose("margin-exceeds-polygon", margin=margin, most=most, written=written)
         raise ConfigurationError("com_margin", problem)
 
 

@@ -9,11 +9,12 @@ typed as a task.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pupper_analysis.base.arguments import suggest_millimetres
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
@@ -22,6 +23,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
+from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import StandTargets, compute_targets
 from pupper_analysis.stance.programme import Relaxation, StanceProgram
@@ -124,7 +126,22 @@ def explain_refusal(
         describe_mechanism_limit(robot, targets)
         or (_describe_different_files(robot) if explain and not named else None),
         {name: joint_unit(robot, name) for name in at_limit},
+        _suggest_millimetres(targets.task),
     )
+
+
+def _suggest_millimetres(task: StandTask) -> Iterator[Diagnostic]:
+    """Yield a message with the value in m for each length or point that is probably in mm."""
+    for field in FIELDS.values():
+        if field.unit != "m" or field.kind == "contact":
+            continue
+        value = getattr(task if field.part == "task" else getattr(task, field.part), field.name)
+        for key, number in value.items() if field.per else [("", value)]:
+            numbers = number if isinstance(number, tuple) else (number,)
+            are_lengths = all(isinstance(part, float | int) for part in numbers)
+            if are_lengths and (written := suggest_millimetres(*numbers)):
+                name = f"{field.name}[{key}]" if key else field.name
+                yield diagnose("field-in-millimetres", field=name, written=written)
 
 
 def _describe_different_files(robot: Robot) -> Diagnostic | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from tests.support.variants import load
 
 angles = st.floats(0.0, 1.2)
 
@@ -91,3 +93,34 @@ def test_contact_that_exerts_a_force_is_refused_at_a_lifted_foot() -> None:
         with pytest.raises(pa.ConfigurationError, match=f"FR is lifted .* has a {word}"):
             pa.StandTask(swing={"FR": 0.02}, contacts={"FR": contact})
         pa.StandTask(swing={"FL": 0.02}, contacts={"FR": contact})
+
+
+@pytest.mark.parametrize(
+    ("values", "hint"),
+    [
+        ({"height": 120}, "for millimetres write height 0.12."),
+        ({"height": 1200}, "(for millimetres write 1.2)"),
+        ({"swing": {"FL": 20}}, "for millimetres write swing[FL] 0.02."),
+        ({"foot_offsets": {"FL": (20, 0)}}, "for millimetres write foot_offsets[FL] (0.02, 0)."),
+        ({"ground": pa.Ground(heights={"FL": 20})}, "for millimetres write heights[FL] 0.02."),
+        ({"self_clearance": 5}, "for millimetres write self_clearance 0.005."),
+        ({"com_margin": 10}, "(for millimetres write 0.01)"),
+        ({"com": (10, 0)}, "(for millimetres write (0.01, 0))"),
+        ({"pitch": 5}, "(for degrees write math.radians(5))"),
+        ({"joint_margin": 5}, "(for degrees write math.radians(5))"),
+    ],
+)
+def test_number_that_is_probably_in_mm_or_degrees_is_suggested_in_si_units(
+    values: dict[str, Any], hint: str
+) -> None:
+    """The bounds are those above which the command line requires a unit."""
+    with pytest.raises(pa.PupperAnalysisError) as caught:
+        pa.solve_stand(load("v3"), pa.StandTask(**values))
+    assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize("height", [0.5, 4.9])
+def test_unreachable_height_that_may_be_in_m_has_no_suggestion(height: float) -> None:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("v3"), pa.StandTask(height=height))
+    assert "millimetres" not in str(caught.value)
