@@ -487,7 +487,7 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     if locked.size:
         messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
-    gravity_notes = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
+    gravity_notes = (note for note in loaded.notes if note.code in _GRAVITY_CODES)
     return (
         *loaded.compute_once(_list_impossible_bodies),
         *assumptions,
@@ -495,6 +495,10 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         *report_placeholder_efforts(robot),
         *describe_import_failure(robot),
     )
+
+
+_GRAVITY_CODES = ("gravity-not-the-earths", "weight-is-compensated")
+"""Codes of notes about an MJCF that reduces or changes the weight of the robot."""
 
 
 def _list_impossible_bodies(robot: Robot) -> tuple[Diagnostic, ...]:

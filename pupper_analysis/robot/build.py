@@ -276,6 +276,16 @@ def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
         notes.append(diagnose("sleep-not-differentiated"))
     if acts_at_rest(mj_model):
         notes.append(diagnose("springs-are-the-mjcfs"))
+    compensated_mass = float(mj_model.body_gravcomp @ mj_model.body_mass)
+    if (mj_model.body_gravcomp > 0).any():  # otherwise MuJoCo ignores all values
+        total_mass = float(mj_model.body_mass.sum())
+        notes.append(
+            diagnose(
+                "weight-is-compensated",
+                mass=Quantity(compensated_mass, "kg"),
+                total=Quantity(total_mass, "kg"),
+            )
+        )
     if mj_model.body_gravcomp.any() and mj_model.jnt_actgravcomp.any():
         names = [
             mj_model.joint(int(joint)).name for joint in np.flatnonzero(mj_model.jnt_actgravcomp)

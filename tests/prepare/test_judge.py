@@ -170,6 +170,26 @@ def test_verdict_states_a_gravity_other_than_the_earths(
     assert ("gravity-not-the-earths" in codes) is named
 
 
+@pytest.mark.parametrize(("factor", "named"), [("0.5", True), ("-1", False), ("0", False)])
+def test_verdict_states_the_weight_that_gravcomp_bears(
+    tmp_path: Path, factor: str, named: bool
+) -> None:
+    """Reference: vertical forces of bare MuJoCo, which ignores gravcomp if no value is positive."""
+    pair = quadruped(tmp_path, floor=True)
+    edited_by(pair.mjcf, lambda text: text.replace("<body ", f'<body gravcomp="{factor}" ', 1))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    borne = data.qfrc_gravcomp[2] / 9.81
+    robot = pa.load_robot(*pair)
+    remarks = {remark.code: remark for remark in list_file_remarks(robot)}
+    assert ("weight-is-compensated" in remarks) is named is bool(borne > 0)
+    if named:
+        values = remarks["weight-is-compensated"].values
+        assert values["mass"].value == pytest.approx(borne)  # type: ignore[union-attr]
+        assert values["total"].value == pytest.approx(model.body_mass.sum())  # type: ignore[union-attr]
+
+
 @pytest.mark.slow
 def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.write_files(tmp_path, features.FEATURES["frictionloss -1"])
