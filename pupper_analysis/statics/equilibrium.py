@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result, Tabular
-from pupper_analysis.base.units import EFFORT_UNIT
+from pupper_analysis.base.units import EARTH_GRAVITY, EFFORT_UNIT
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_force_units
@@ -805,8 +805,20 @@ _REPORTED_FORCE_MARGIN = 1e-3
 is accepted if a user enters it. Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload mass to robot mass above which a payload counts as unlimited. The lever arm of a
-motor that limits such a payload may be a rounding error. Chosen, not tuned."""
+"""Ratio of payload mass to `compute_reference_mass` above which a payload counts as unlimited. The
+lever arm of a motor that limits such a payload may be a rounding error. Chosen, not tuned."""
+
+
+def compute_reference_mass(robot: Robot) -> float:
+    """Compute the mass [kg] to which payloads are compared.
+
+    The larger of the robot's mass and the mass that the strongest motor with a known limit holds at
+    a lever arm of 1 m. The second mass matters for placeholder masses: a robot of 1e-9 kg with
+    motors of 150 N m has a payload of some kilograms.
+    """
+    limits = robot.effort_limits[np.isfinite(robot.effort_limits)]
+    return max(robot.total_mass, float(limits.max(initial=0.0)) / EARTH_GRAVITY)
+
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per mass of robot or payload [N m/kg] up to which a motor or passive joint counts as not

@@ -52,6 +52,7 @@ from pupper_analysis.statics.equilibrium import (
     MIN_TORQUE_PER_MASS,
     UNLIMITED_MASS_RATIO,
     GravityCompensation,
+    compute_reference_mass,
     compute_utilisation,
     find_mass_limit,
     gravity_compensation,
@@ -135,8 +136,8 @@ not tuned."""
 
 _MIN_SOFTENING = 1e-6
 """Smallest softening [1] with which the servo stiffness limits the payload. The softening is the
-largest fraction of a motion's stiffness that a payload as heavy as the robot removes (a generalised
-eigenvalue). A smaller softening is a rounding error. Chosen, not tuned.
+largest fraction of a motion's stiffness that a payload of `compute_reference_mass` removes (a
+generalised eigenvalue). A smaller softening is a rounding error. Chosen, not tuned.
 """
 
 
@@ -241,7 +242,7 @@ def tool_payload(
             **known,
         )
     smallest, weakest, qpos = _find_smallest_payload(robot, tool, [posture.qpos, *worst.postures])
-    smallest = min(smallest, UNLIMITED_MASS_RATIO * robot.total_mass)
+    smallest = min(smallest, UNLIMITED_MASS_RATIO * compute_reference_mass(robot))
     loaded = worst
     for _ in range(_MAX_PAYLOAD_ROUNDS if smallest > 0 else 0):
         loaded = worst_postures(
@@ -288,7 +289,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     mass = find_mass_limit(empty, rates, limits)
     if (np.abs(rates)[np.isinf(limits)] > MIN_TORQUE_PER_MASS).any():
         return math.nan, ""
-    if not mass <= UNLIMITED_MASS_RATIO * robot.total_mass:  # the lever arm is rounding
+    if not mass <= UNLIMITED_MASS_RATIO * compute_reference_mass(robot):  # the lever is rounding
         return math.inf, ""
     margins = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
     return mass, robot.joint_names[int(np.argmin(margins))]
@@ -338,7 +339,9 @@ def servo_payload(
             return 0.0, ""
         # Largest softening per mass [1/kg]; rounding if the mass stiffens all motions.
         softening = float(linalg.eigh(-added, stiffness, eigvals_only=True)[-1])
-    stable = 1 / softening if softening > _MIN_SOFTENING / robot.total_mass else math.inf
+    stable = (
+        1 / softening if softening > _MIN_SOFTENING / compute_reference_mass(robot) else math.inf
+    )
     lead = compute_command_lead(config.transfer_to_motors(config.static_load()), gains)
     borne = config.transfer_to_motors(tool.load_per_mass(config))
     rates = compute_command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)

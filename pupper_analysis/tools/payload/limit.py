@@ -54,7 +54,11 @@ from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_a
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import UNLIMITED_MASS_RATIO, GravityCompensation
+from pupper_analysis.statics.equilibrium import (
+    UNLIMITED_MASS_RATIO,
+    GravityCompensation,
+    compute_reference_mass,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -700,7 +704,7 @@ class _PayloadSearch:
         }
         low = dict.fromkeys(find_causes, 0.0)
         high: dict[str, tuple[float, FailureCause]] = {}
-        mass, ceiling = 0.0, UNLIMITED_MASS_RATIO * self._robot.total_mass
+        mass, ceiling = 0.0, UNLIMITED_MASS_RATIO * compute_reference_mass(self._robot)
         while len(high) < len(find_causes) and "stance" not in high and mass < ceiling:
             for name in [name for name in find_causes if name not in high]:
                 cause = find_causes[name](mass)

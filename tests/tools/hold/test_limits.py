@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -246,6 +247,36 @@ def test_lever_arm_of_rounding_size_does_not_limit_the_payload() -> None:
     limits = np.array([3.0, 4.0])
     assert find_mass_limit(np.array([0.5, -1.0]), np.array([1e-16, -1e-14]), limits) == math.inf
     assert find_mass_limit(np.array([0.5, -1.0]), np.array([1e-16, -0.5]), limits) == 6.0
+
+
+def test_payload_of_an_arm_with_placeholder_masses_is_that_of_its_motors(tmp_path: Path) -> None:
+    """Masses of 1e-9 of the true ones load no motor, but a payload loads the motors as before.
+
+    Reference: Jacobian of bare MuJoCo: effort / (g dz/dq) of the first motor at its limit.
+    """
+
+    def scale(text: str, pattern: str) -> str:
+        return re.sub(pattern, lambda found: f'{found[1]}"{1e-9 * float(found[2])!r}"', text)
+
+    urdf = scale(by_hand.URDF, r'(<mass value=|\bi[xyz]{2}=)"([^"]+)"')
+    mjcf = scale(by_hand.MJCF, r'(\bmass=)"([^"]+)"')
+    assert urdf != by_hand.URDF
+    assert mjcf != by_hand.MJCF
+    robot = by_hand.load_arm(tmp_path, urdf, mjcf)
+    assert robot.total_mass < 1e-7
+    posture, tool = find_posture(robot, POSTURE), find_tool(robot, "tip")
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    columns = []
+    for joint, name in enumerate(robot.joint_names):
+        entry = model.joint(name)
+        data.qpos[entry.qposadr[0]] = posture.qpos[joint]
+        columns.append(entry.dofadr[0])
+    mujoco.mj_forward(model, data)
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site("tip").id)
+    levers = np.abs(jacobian[2, columns])
+    limits = robot.effort_limits[levers > 1e-9] / (G * levers[levers > 1e-9])
+    assert posture_payload(robot, posture.qpos, tool)[0] == pytest.approx(limits.min(), rel=1e-6)
 
 
 def test_payload_of_soft_servos_is_below_that_of_the_motors() -> None:

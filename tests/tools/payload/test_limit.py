@@ -353,7 +353,7 @@ def test_smallest_static_bound_is_exact_far_below_the_first_failing_mass(
 ) -> None:
     """Reference: the mass [kg] above which the function of the motors returns a failure."""
     search = object.__new__(payload._PayloadSearch)
-    search._robot = SimpleNamespace(total_mass=2.0)
+    search._robot = SimpleNamespace(total_mass=2.0, effort_limits=np.full(12, math.inf))
     for name in ("find_stance_failure", "find_spectrum_failure", "find_servo_failure"):
         monkeypatch.setattr(search, name, lambda _: None)
     motors = (Failure.MOTOR, ("hip",))
