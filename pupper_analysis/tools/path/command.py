@@ -69,16 +69,17 @@ def command(
     Exit status: 0 the robot follows the path, 1 the verdict does not pass (for example, the robot
     does not follow), 2 out of reach, no equilibrium or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.tools.path.tracking import study_path
+    from pupper_analysis.tools.path.tracking import plan_path, simulate_path
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None)
     robot, assigned = apply_motors(motors, robot, request.effort)
     kp, kd = request.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
-        result = study_path(robot, task, seconds, kp=kp, kd=kd, motors=assigned)
-        if not result.path.has_motion:
-            _refuse_missing_goal(robot, result.stand)
+        stand, path = plan_path(robot, task, seconds, motors=assigned)
+        if not path.has_motion:
+            _refuse_missing_goal(robot, stand)
+        result = simulate_path(robot, stand, path, kp=kp, kd=kd, motors=assigned)
     request.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)

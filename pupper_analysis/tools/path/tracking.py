@@ -308,8 +308,38 @@ def study_path(
         StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
         StaticsInfeasibleError: If the stance, or a sample of the path, cannot be held.
     """
+    stand, path = plan_path(robot, task, seconds, motors=motors)
+    return simulate_path(robot, stand, path, kp=kp, kd=kd, motors=motors)
+
+
+def plan_path(
+    robot: Robot,
+    task: StandTask,
+    seconds: float,
+    *,
+    motors: Mapping[str, Motor] | None = None,
+) -> tuple[Stand, StancePath]:
+    """Plan a path from the nominal stand to a stance, without a simulation.
+
+    Returns the stand at the end, and the path. Arguments and errors: `study_path`.
+    """
     stand = solve_stand(robot, task)
-    path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)
+    return stand, stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)
+
+
+def simulate_path(
+    robot: Robot,
+    stand: Stand,
+    path: StancePath,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    motors: Mapping[str, Motor] | None = None,
+) -> PathThere:
+    """Simulate a path that ends at a stand, and judge the tracking.
+
+    ``stand`` and ``path`` are results of `plan_path`. Other arguments, and errors: `study_path`.
+    """
     tracking = track_path(robot, path, kp=kp, kd=kd, motors=motors)
     # An instability of the final stand can need more time to develop than the path takes.
     held = solve_stand_as_simulated(robot, stand)
