@@ -5,15 +5,17 @@ from __future__ import annotations
 import io
 import sys
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.cli import robots
 from pupper_analysis.cli.robots import RobotOptions, name_uniquely
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import find_model_folder
-from tests.support.commands import check_refusal, run_command
+from tests.support.commands import answer, check_refusal, run_command
 
 URDF, MJCF = (
     find_model_folder("urdf") / "pupper_v3.urdf",
@@ -161,3 +163,26 @@ def test_invalid_input_is_refused_in_one_line(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
     check_refusal(capfd, tmp_path, arguments, message)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("stand",),
+        ("gains",),
+        ("heat", "--motor", "mit-mini-cheetah"),
+        ("walk", "--policy", "policy.json"),
+        ("analyze", "--no-figures"),
+    ],
+)
+def test_visual_meshes_are_converted_only_if_the_robot_is_drawn(
+    arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    """A conversion takes seconds of processor. The command ends when it loads the robot."""
+    (tmp_path / "robot.urdf").write_text("<robot name='robot'/>")
+    (tmp_path / "policy.json").write_text("{}")
+    command, *options = arguments
+    for more, is_drawn in (((), False), (("--report", "page.html"), True)):
+        with mock.patch.object(robots, "load_files", side_effect=SystemExit(2)) as load:
+            answer(command, "robot.urdf", *options, *more, folder=tmp_path)
+        assert load.call_args.kwargs["visuals"] is is_drawn

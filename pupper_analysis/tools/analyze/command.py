@@ -115,7 +115,13 @@ def command(
         raise ConfigurationError("--write", diagnose("written-are-variants"))
     task = make_task(stance)
     shown = style == "text"
-    analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
+    analyses, robots = _analyze_all(
+        meant,
+        task,
+        everything=everything,
+        shown=shown,
+        visuals=not no_figures or report_path is not None,
+    )
     folder = None if no_figures else output
     rows = _compare_variants(meant, analyses)
     table, named = comparison_table(rows), [(analysis.name, analysis) for analysis in analyses]
@@ -143,9 +149,16 @@ def command(
 
 
 def _analyze_all(
-    meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
+    meant: list[VariantSpec | RobotFiles],
+    task: StandTask,
+    *,
+    everything: bool,
+    shown: bool,
+    visuals: bool,
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyse robots, and print each result as soon as it is known if ``shown``.
+
+    ``visuals`` is False if the robots are not drawn: visual meshes are then not converted.
 
     Returns:
         Analyses, and loaded robots with distinct names, both in the order of ``meant``.
@@ -159,7 +172,8 @@ def _analyze_all(
     has_files = any(isinstance(robot, RobotFiles) for robot in meant)
     # Loading files shows its own progress.
     with nullcontext() if has_files else shared.show_progress("loading the robots"):
-        robots = name_uniquely(meant, [load_selected_robot(robot) for robot in meant])
+        loaded = [load_selected_robot(robot, visuals=visuals) for robot in meant]
+        robots = name_uniquely(meant, loaded)
         for robot in robots:  # a stance out of reach is found before anything is printed
             solve_stand(robot, task)
     out = make_console()

@@ -91,7 +91,7 @@ def command(
     from pupper_analysis.tools.gains.gains import study_gains
 
     task = request.task()
-    robot = request.robot(words)
+    robot = request.robot(words, visuals=report_path is not None)
     robot.check_floating("gains-of-fixed-base")
     kp, kd = request.gains(robot)
     with shared.show_progress("finding the bounds of the gains"):

@@ -88,7 +88,7 @@ def command(
     from pupper_analysis.tools.heat.heat import study_heat
 
     task = request.task()
-    robot = request.robot(words)
+    robot = request.robot(words, visuals=report_path is not None)
     _check_base(robot, motors)  # before the motors: no motor makes a fixed base stand
     assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:

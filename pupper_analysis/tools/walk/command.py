@@ -186,7 +186,8 @@ def command(
     click.get_current_context().meta[shared.ROBOT_WORDS] = words
     source = which.select_robot(words) or "v3"
     policy_path, sources = select_policy(policy, sources)
-    robot = load_walking_robot(source, style, everything=everything)
+    is_drawn = report_path is not None
+    robot = load_walking_robot(source, style, everything=everything, visuals=is_drawn)
     deployment = read_deployment(robot, sources, policy_path) if sources else None
     if init:
         _write_first_contract(policy_path, robot, deployment)

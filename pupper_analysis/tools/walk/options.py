@@ -35,7 +35,7 @@ COMMAND_OPTION = click.option(
 
 
 def load_walking_robot(
-    source: str | VariantSpec | RobotFiles, style: str, *, everything: bool
+    source: str | VariantSpec | RobotFiles, style: str, *, everything: bool, visuals: bool = True
 ) -> Robot:
     """Load the robot of a walk, and print the notes on a robot that was read from files.
 
@@ -44,8 +44,9 @@ def load_walking_robot(
         style: Output format. Notes are printed only for "text"; a report in "markdown" contains the
             notes.
         everything: True to print all notes.
+        visuals: False if the robot is not drawn: visual meshes are then not converted.
     """
-    robot = load_selected_robot(source)
+    robot = load_selected_robot(source, visuals=visuals)
     if isinstance(source, RobotFiles) and style == "text":
         print_robot_notes(robot, everything=everything)
     return robot
