@@ -19,6 +19,7 @@ import pytest
 from hypothesis.internal.conjecture import providers
 
 import pupper_analysis as pa
+from tests.support.repository import ROOT
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -63,6 +64,18 @@ def pytest_collection() -> Iterator[Any]:
     finally:
         gc.enable()
         gc.freeze()
+
+
+LONG_FILE = ROOT / "tests" / "repository" / "test_pages.py"
+"""File with the longest tests, up to 30 s of processor. They run first, in one worker.
+
+At the end of a run, one worker is idle while the other completes its last two tests. Besides, all
+pages then share the rollouts and variants of one process."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of ``LONG_FILE`` first; the order of the other tests does not change."""
+    items.sort(key=lambda item: item.path != LONG_FILE)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
