@@ -63,8 +63,9 @@ def write(folder: Path, text: str) -> None:
         measure_stands(folder / "plan.csv")
     if fit := re.search(r"--fit ((\w+/)?fit\.json)", text):
         _measure(folder)
-        found = answer(*FIT, "-o", "fitted/", folder=folder)
-        assert found.returncode == 0, found.stderr
+        for name, content in _fitted_files().items():
+            (folder / "fitted" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / "fitted" / name).write_bytes(content)
         if not (folder / fit[1]).exists():
             shutil.copy(folder / "fitted/fit.json", folder / fit[1])
     if re.search(r"HEAD:|v1\.\d:|origin/|analysis check", text):
@@ -195,6 +196,19 @@ def _measured_plan() -> str:
         answer("fit", "v3", "--plan", "12", "-o", plan.name, folder=plan.parent)
         measure_stands(plan)
         return plan.read_text()
+
+
+@cache
+def _fitted_files() -> dict[str, bytes]:
+    """Return {path: content} of the files that ``fit`` writes for the measured stands."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _measure(folder)
+        found = answer(*FIT, "-o", "fitted/", folder=folder)
+        assert found.returncode == 0, found.stderr
+        fitted = folder / "fitted"
+        files = [path for path in fitted.rglob("*") if path.is_file()]
+        return {str(path.relative_to(fitted)): path.read_bytes() for path in files}
 
 
 def _measured(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:
