@@ -160,7 +160,7 @@ def command(
         --motor steadywin-gim4305-10
       pupper-analysis walk g1.xml policy.onnx --init
       pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay \\
-        --fit fit.json
+        --fit fitted/fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
       pupper-analysis walk v3 --policy policy_latest.json --response
       pupper-analysis walk g1.xml deploy.yaml policy.onnx --trace recorded.npz
