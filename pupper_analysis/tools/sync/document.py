@@ -108,14 +108,14 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
     yield text("difference-first", difference=first)
 
 
-def _describe_unwritten(differences: Iterable[Difference]) -> doc.Words:
+def _describe_unwritten(differences: Iterable[Difference]) -> doc.Text | None:
     """Return the first difference of a kind that `sync` does not write, and the number of others.
 
-    Empty without such a difference.
+    None without such a difference.
     """
     unwritten = [one for one in differences if one.kind in UNWRITTEN_KINDS]
     if not unwritten:
-        return ""
+        return None
     return text(
         "unwritten-differences",
         name=format_owner_name(unwritten[0]),

@@ -113,7 +113,7 @@ def test_dry_run_prints_a_diff(folder: Path) -> None:
     # The files do not agree yet if all differences are chosen in a trial.
     everything = run(folder, "--take", "mjcf", "--dry-run").stdout.splitlines()
     assert everything[0].startswith("WOULD AGREE robot.urdf and robot.xml: attributes that would")
-    assert everything[1] == "  nothing was written, because of --dry-run"
+    assert everything[1] == "  nothing written (--dry-run)"
     assert everything[2].startswith("  next: pupper-analysis sync ")
     assert (folder / "robot.urdf").read_bytes() == before
 
