@@ -33,6 +33,7 @@ from pupper_analysis.base.units import get_field_units, replace_joint_units
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
     from PIL.Image import Image
 
 
@@ -146,25 +147,34 @@ class Result(ReadOnlyFields):
 
         return render_result(self)
 
-    def plot(self, robot: object = None) -> tuple[Axes, ...]:
-        """Draw the plots of the result with Matplotlib, in a new figure of ``pyplot``.
+    def plot(
+        self,
+        robot: object = None,
+        *,
+        ax: Axes | None = None,
+        figure: Figure | SubFigure | None = None,
+    ) -> tuple[Axes, ...]:
+        """Draw the plots of the result with Matplotlib, by default in a new figure of ``pyplot``.
 
         For most results, these are the plots of the HTML report; for a ``Stand``, the skeleton with
         contact forces.
 
         Args:
             robot: Robot of the result; necessary for a stand from another process.
+            ax: Axes of a plot with a single panel, in place of a new figure.
+            figure: Figure or subfigure without axes, in place of a new figure.
 
         Returns:
             Axes of the panels.
 
         Raises:
-            ConfigurationError: For example if the result has no plot, or the robot is missing.
+            ConfigurationError: For example if the result has no plot, the robot is missing, or
+                ``ax`` is given for a plot with several panels.
             StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
         """
         # By name, because ``present`` is a higher layer, which imports this module.
         plots = import_module("pupper_analysis.present.plots")
-        axes: tuple[Axes, ...] = plots.plot_result(self, robot)
+        axes: tuple[Axes, ...] = plots.plot_result(self, robot, ax=ax, figure=figure)
         return axes
 
     def to_json(self) -> str:

@@ -10,7 +10,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.colours import BLUE_COLOUR
 from pupper_analysis.present.document import Name, get_english
 from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.plots import create_figure, draw_result, make_axes
+from pupper_analysis.present.plots import Canvas, draw_plots, draw_result, make_panels
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.judge import Stand
@@ -26,7 +26,7 @@ _ROW_HEIGHT = 0.22
 
 
 @draw_result.register(Stand)
-def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
+def draw_stand(stand: Stand, robot: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Draw skeleton, contact forces, CoM and support polygon of a stand, in two panels.
 
     The views are oblique and from above. If no foot carries load, the joints and links are drawn
@@ -43,13 +43,13 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
         raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=type(stand).__name__))
     robot = stand.check(robot)
     if not stand.stance_feet:
-        return tuple(make_skeleton_figure(robot, stand.qpos, create_figure).axes)
+        return tuple(make_skeleton_figure(robot, stand.qpos, canvas.create_figure).axes)
     statics = stand_statics(robot, stand)
-    return tuple(make_pose_figure(robot, stand, statics, create_figure).axes)
+    return tuple(make_pose_figure(robot, stand, statics, canvas.create_figure).axes)
 
 
 @draw_result.register(SolvedPosture)
-def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Axes, ...]:
+def draw_posture(posture: SolvedPosture, robot: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Draw a posture in two panels: as a stand with contact forces, or as joints and links.
 
     Raises:
@@ -63,32 +63,30 @@ def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Ax
     if robot is None:
         raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=type(posture).__name__))
     if posture.stand is not None and posture.stand.stance_feet:
-        return draw_stand(posture.stand, robot)
-    return tuple(make_skeleton_figure(robot, posture.qpos, create_figure).axes)
+        return draw_stand(posture.stand, robot, canvas)
+    return tuple(make_skeleton_figure(robot, posture.qpos, canvas.create_figure).axes)
 
 
 @draw_result.register(StandVerification)
-def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[Axes, ...]:
+def draw_verification(run: StandVerification, _: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Draw the base height [mm] of a simulated stand over time [s], and return the axes."""
-    from pupper_analysis.present.figures.drawing import make_plots_figure
-
     height = run.base_height + run.height_loss
     robot = None if run.stand is None else run.stand.own_robot
     plot = height_plot([run], height)
     verdict = "HOLDS" if run.passed else "FAILS"
     name = f"{verdict} {robot.name}" if robot is not None else verdict
     title = Name(f"{name}: {get_english(plot.title)}")
-    return tuple(make_plots_figure([plot], title=title, create=create_figure).axes)
+    return draw_plots([plot], title, canvas, named=False)
 
 
 @draw_result.register(Equilibrium)
-def draw_equilibrium(statics: Equilibrium, robot: Robot | None = None) -> tuple[Axes, ...]:
+def draw_equilibrium(statics: Equilibrium, robot: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
     Known utilisations are beside the bars. The title contains the name of ``robot``, if given.
     """
     title = "Static motor torques" if robot is None else f"{robot.name}: static motor torques"
-    axes = make_axes(title, 1.1 + _ROW_HEIGHT * len(statics.joint_names))
+    (axes,) = make_panels(title, 1.1 + _ROW_HEIGHT * len(statics.joint_names), canvas)
     torques = statics.joint_torques.tolist()
     bars = axes.barh(statics.joint_names, torques, color=BLUE_COLOUR)
     shares = statics.motor_utilisation.tolist()

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import Result
-from pupper_analysis.present.document import BarPlot, Plot, get_english
+from pupper_analysis.present.document import (
+    Axis,
+    BarPlot,
+    LinePlot,
+    Name,
+    Plot,
+    Series,
+    get_english,
+)
 from pupper_analysis.present.figures.drawing import make_plots_figure
 from pupper_analysis.present.figures.pose import make_skeleton_figure
 from pupper_analysis.present.html.plots import round_ticks
-from pupper_analysis.present.plots import make_figure_title
+from pupper_analysis.present.plots import Canvas, draw_plots, make_figure_title
 from tests.support.arm import load_arm
 from tests.support.engines import with_efforts
 from tests.support.repository import ROOT
@@ -236,3 +246,123 @@ def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> 
         pickle.loads(pickle.dumps(posture)).plot()
     assert posture.stand is not None
     assert len(posture.stand.plot(arm)) == 2
+
+
+@pytest.mark.parametrize("kind", ["torques", "lines", "bars"])
+def test_plot_in_given_axes_opens_no_figure(kind: str) -> None:
+    """References: the data of the results; other axes and the size of the figure are unchanged."""
+    robot, stand = load("v3"), stand_of("v3")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
+    if kind == "torques":
+        statics = pa.stand_statics(robot, stand)
+        drawn = statics.plot(ax=right)
+        widths = [bar.get_width() for bar in right.patches]
+        assert widths == pytest.approx(statics.joint_torques.tolist())
+        assert right.get_xlabel().startswith("torque (N m; slides: N)")
+        assert right.get_title(loc="left") == "Static motor torques"
+    elif kind == "lines":
+        run = pa.verify_stand(robot, stand, duration=2.0, nudged=0)
+        drawn = run.plot(ax=right)
+        line, task = right.lines
+        assert line.get_xdata() == pytest.approx(run.time)
+        assert line.get_ydata() == pytest.approx(1e3 * run.height)
+        assert task.get_ydata() == pytest.approx(1e3 * (run.base_height + run.height_loss))
+        assert (right.get_xlabel(), right.get_ylabel()) == ("time (s)", "base height (mm)")
+        legend = right.get_legend()
+        assert legend is not None
+        assert legend.get_texts()[0].get_text().startswith("with feed-forward")
+    else:
+        (plot,) = (plot for plot in make_bar_plots() if isinstance(plot, BarPlot))
+        drawn = draw_plots([plot], Name("bars"), Canvas(axes=right))
+        words = [text.get_text() for text in right.texts]
+        assert any(text.endswith(f"({plot.axis.unit})") for text in words)
+        assert len(right.patches) >= len(plot.bars)
+    assert drawn == (right,)
+    assert plt.get_fignums() == [figure.number]
+    assert tuple(figure.axes) == (left, right)
+    assert [*left.lines, *left.patches, *left.texts, *figure.texts, *figure.legends] == []
+    assert left.get_title(loc="left") == figure.get_suptitle() == ""
+    assert figure.get_size_inches().tolist() == [9, 4]
+
+
+def make_bar_plots() -> list[Plot]:
+    """Return the first bar plot among the documents of the stubs."""
+    documents = (document for make in REPORTS.values() for document in make().documents)
+    plots = (block for document in documents for block in document.blocks)
+    return [next(plot for plot in plots if isinstance(plot, BarPlot))]
+
+
+def test_lines_in_given_axes_have_the_scales_of_the_plot() -> None:
+    """Reference: a line plot with an area, a logarithmic axis, and a point that is not finite."""
+    x, y = np.array([1.0, 10.0, 100.0]), np.array([1.0, np.nan, 3.0])
+    series = [
+        Series(Name("area"), x, np.array([0.5, 4.0, 2.0]), shaded=True),
+        Series(Name("line"), x, y, points=True, marked_index=2),
+    ]
+    axis = Axis(Name("stiffness"), "N m/rad", ".2f", logarithmic=True)
+    plot = LinePlot(Name("plot"), axis, Axis(Name("damping"), "1", ".2f", low=0.0), series)
+    (panel,) = draw_plots([plot], Name("title"), Canvas(axes=plt.figure().add_subplot()))
+    assert (panel.get_xscale(), panel.get_ylim()[0]) == ("log", 0.0)
+    line, *points = panel.lines
+    assert line.get_xydata().tolist() == [[1.0, 1.0], [100.0, 3.0]]
+    assert [point.get_xydata().tolist() for point in points] == [[[1.0, 1.0]], [[100.0, 3.0]]]
+    assert points[1].get_markersize() > points[0].get_markersize()
+    assert len(panel.patches) == 1
+    assert panel.get_xlabel() == "stiffness (N m/rad)"
+
+
+def test_plot_of_a_comparison_in_given_axes_has_its_legend_there() -> None:
+    files = [ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml"]
+    comparison = pa.compare_models(*files, configurations=2)
+    figure, axes = plt.subplots()
+    assert comparison.plot(ax=axes) == (axes,)
+    assert axes.get_legend() is not None
+    assert not figure.legends
+
+
+def test_plot_in_a_subfigure_keeps_the_other_subfigure_empty() -> None:
+    """A stand has two panels, in the left half of the figure."""
+    robot, stand = load("v3"), stand_of("v3")
+    figure = plt.figure(figsize=(14, 5))
+    left, right = figure.subfigures(1, 2)
+    panels = stand.plot(robot, figure=left)
+    assert tuple(left.axes) == panels
+    assert [panel.get_title(loc="left")[:8] for panel in panels] == ["from the", "from abo"]
+    assert all(panel.get_position().x1 <= 1.0 for panel in panels)
+    assert max(panel.get_window_extent().x1 for panel in panels) < figure.bbox.width / 2
+    assert not right.axes
+    assert plt.get_fignums() == [figure.number]
+    torques = pa.stand_statics(robot, stand).plot(figure=right)
+    assert tuple(right.axes) == torques
+    assert right.get_suptitle() == "Static motor torques"
+
+
+def test_plot_in_a_given_figure_keeps_its_size() -> None:
+    figure = plt.figure(figsize=(5, 3))
+    (axes,) = pa.stand_statics(load("v3"), stand_of("v3")).plot(figure=figure)
+    assert figure.axes == [axes]
+    assert figure.get_size_inches().tolist() == [5, 3]
+    assert figure.get_layout_engine() is not None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (lambda axes: {"ax": 3}, "ax: 3 is not an Axes"),
+        (lambda axes: {"ax": axes.figure}, "is not an Axes"),
+        (lambda axes: {"figure": axes}, "is not a Figure or a SubFigure"),
+        (lambda axes: {"ax": axes, "figure": plt.figure()}, "either ax= or figure="),
+        (lambda axes: {"figure": axes.figure}, "the figure has axes already"),
+        (lambda axes: {"ax": axes}, "several panels: pass figure="),
+    ],
+)
+def test_invalid_axes_or_figure_of_a_plot_are_refused(
+    options: Callable[[Axes], dict[str, Any]], message: str
+) -> None:
+    axes = plt.figure().add_subplot()
+    given = options(axes)
+    opened = plt.get_fignums()
+    with pytest.raises(pa.ConfigurationError, match=message):
+        stand_of("v3").plot(load("v3"), **given)
+    assert plt.get_fignums() == opened
+    assert [*axes.lines, *axes.patches] == []

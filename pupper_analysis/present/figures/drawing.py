@@ -20,7 +20,7 @@ from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.text import Text
@@ -39,8 +39,17 @@ from pupper_analysis.present.colours import (
     RED_COLOUR,
     SKY_BLUE_COLOUR,
 )
-from pupper_analysis.present.document import Plot, Words, get_english
-from pupper_analysis.present.html.plots import AREA_CLASS, REFERENCE_CLASS, Drawing, Mark, draw_svg
+from pupper_analysis.present.document import LinePlot, Plot, Words, get_english
+from pupper_analysis.present.html.plots import (
+    AREA_CLASS,
+    DOT_RADIUS,
+    MARKED_DOT_RADIUS,
+    REFERENCE_CLASS,
+    Drawing,
+    Mark,
+    draw_svg,
+    select_styles,
+)
 
 FIGURE_DPI = 180
 """Resolution of figures in PNG files [pixels per inch]. Chosen, not tuned."""
@@ -119,6 +128,7 @@ def write_plots(
     if not plots:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
     figure = make_plots_figure(plots, title=title, names=names, max_columns=max_columns)
+    assert isinstance(figure, Figure)
     save_figure(figure, path)
 
 
@@ -128,8 +138,8 @@ def make_plots_figure(
     title: Words | None = None,
     names: Sequence[str] = (),
     max_columns: int = _NUM_COLUMNS,
-    create: Callable[..., Figure] = Figure,
-) -> Figure:
+    create: Callable[..., Figure | SubFigure] = Figure,
+) -> Figure | SubFigure:
     """Draw plots in a figure with a panel per plot.
 
     Default of ``title``: the title of the first plot. Default of ``names``, the titles of the
@@ -162,16 +172,75 @@ def make_plots_figure(
     titles = names or [get_english(drawing.title) if several else "" for drawing in drawings]
     for index, (drawing, legend, name) in enumerate(zip(drawings, legends, titles, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
-        size = sizes[index]
-        _draw_marks(drawing, axes, size)
+        _draw_marks(drawing, axes, sizes[index])
         title_panel(axes, name)
-        if legend:
-            entries = axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0),
-                                  ncols=legend_columns[index], fontsize=size,
-                                  frameon=False, handlelength=_LEGEND_LINE_LENGTH)  # fmt: skip
-            for entry in entries.get_texts():
-                entry.set_parse_math(False)
+        _add_panel_legend(axes, legend, legend_columns[index], sizes[index])
     return figure
+
+
+def draw_panel(plot: Plot, axes: Axes, title: str) -> None:
+    """Draw a plot in existing axes, with a title.
+
+    Lines are in the units of the data, so that further data can be drawn in the axes. The
+    coordinates of a bar plot are CSS pixels; its letters fit the present size of the axes.
+    """
+    drawing, size = draw_svg(plot), float(FONT_SIZE)
+    if isinstance(plot, LinePlot):
+        _draw_lines(plot, axes)
+    else:
+        figure, extent = axes.get_figure(root=True), axes.get_window_extent()
+        assert figure is not None
+        scale = min(extent.width / drawing.width, extent.height / drawing.height)
+        size = _LETTER_HEIGHT * 72 * scale / figure.dpi
+        _draw_marks(drawing, axes, size)
+    title_panel(axes, title)
+    if isinstance(plot, LinePlot):
+        if legend := _make_legend(drawing):
+            for entry in axes.legend(handles=legend, fontsize=size).get_texts():
+                entry.set_parse_math(False)
+    else:
+        columns = _count_legend_columns(drawing, _LETTER_HEIGHT / drawing.width)
+        _add_panel_legend(axes, _make_legend(drawing), columns, size)
+
+
+def _draw_lines(plot: LinePlot, axes: Axes) -> None:
+    """Draw the series of a line plot in axes with the units of the data."""
+    for series, style in zip(plot.series, select_styles(plot.series), strict=True):
+        points = np.column_stack([np.asarray(series.x, float), np.asarray(series.y, float)])
+        finite = np.isfinite(points).all(axis=1)
+        x, y = points[finite].T
+        if series.shaded:
+            axes.fill(x, y, **_AREA_STYLE, zorder=_GRID_ZORDER)
+            continue
+        axes.plot(x, y, **_make_line_style(style, 1.3))
+        for index in np.flatnonzero(finite) if series.points else []:
+            radius = MARKED_DOT_RADIUS if index == series.marked_index else DOT_RADIUS
+            diameter = 2 * radius * FONT_SIZE / _LETTER_HEIGHT
+            axes.plot(*points[index], ls="", ms=diameter, zorder=_DOT_ZORDER, **_make_dot(style))
+    for name, axis in (("x", plot.x), ("y", plot.y)):
+        unit = f" ({axis.unit})" if axis.unit else ""
+        axes.set(**{f"{name}label": f"{get_english(axis.name)}{unit}"})
+        if axis.logarithmic:
+            axes.set(**{f"{name}scale": "log"})
+        elif axis.low is not None:
+            axes.set(**{f"{name}lim": (axis.low, None)})
+    for label in (axes.xaxis.label, axes.yaxis.label):
+        label.set(size=FONT_SIZE, parse_math=False)
+    if plot.equal_scales:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(color=GRID_COLOUR)
+    axes.set_axisbelow(True)
+
+
+def _add_panel_legend(axes: Axes, legend: list[Artist], columns: int, size: float) -> None:
+    """Add a legend with the font size ``size`` [pt] below a panel, if it has entries."""
+    if not legend:
+        return
+    entries = axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0),
+                          ncols=columns, fontsize=size,
+                          frameon=False, handlelength=_LEGEND_LINE_LENGTH)  # fmt: skip
+    for entry in entries.get_texts():
+        entry.set_parse_math(False)
 
 
 def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
@@ -298,8 +367,8 @@ def make_page_figure(
     height: float,
     *,
     layout: Literal["constrained"] | None = None,
-    create: Callable[..., Figure] = Figure,
-) -> Figure:
+    create: Callable[..., Figure | SubFigure] = Figure,
+) -> Figure | SubFigure:
     """Create an empty figure with a title, as wide as a page.
 
     ``height`` is in inches. ``create`` returns an empty figure, as ``pyplot.figure`` does.
@@ -365,14 +434,15 @@ MISSING_LETTERS_NOTE = "boxes: letters that no font contains; install {font}, fo
 """Remark in the lower left corner of a figure with letters that are not in any installed font."""
 
 
-def set_fallback_fonts(figure: Figure) -> None:
+def set_fallback_fonts(figure: Figure | SubFigure, drawn: Artist | None = None) -> None:
     """Select an installed font for letters that are not in the default font, such as Chinese.
 
     If no font contains the letters, which are then drawn as boxes, a remark is added to the figure.
+    ``drawn`` is the part of the figure whose texts are changed; by default all.
     """
     default, *fallbacks = _list_fonts()
     missing = False
-    for text in figure.findobj(Text):
+    for text in (drawn or figure).findobj(Text):
         letters = {ord(letter) for letter in text.get_text() if letter.isprintable()}
         letters -= default[1]
         if not letters:
@@ -409,7 +479,9 @@ def cut_long_names(names: Sequence[str], length: int) -> list[str]:
 
 
 @silence_missing_letters()
-def add_legend(figure: Figure, handles: Sequence[Artist], *, outside: bool = False) -> None:
+def add_legend(
+    figure: Figure | SubFigure, handles: Sequence[Artist], *, outside: bool = False
+) -> None:
     """Add a legend with the given symbols at the lower edge of a figure, in as few rows as fit.
 
     If ``outside`` is True, the constrained layout of the figure reserves the space of the legend.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Patch, PathPatch, Polygon
@@ -362,9 +362,9 @@ def write_pose_figure(
         ConfigurationError: If the stand belongs to another robot.
         OutputError: If the file cannot be written, or is an existing file of another kind.
     """
-    drawing.save_figure(
-        make_pose_figure(robot, stand, statics, subject=subject, verdict=verdict), path
-    )
+    figure = make_pose_figure(robot, stand, statics, subject=subject, verdict=verdict)
+    assert isinstance(figure, Figure)
+    drawing.save_figure(figure, path)
 
 
 def _make_title(robot: Robot, stand: Stand, subject: str, verdict: Words | None) -> str:
@@ -392,11 +392,11 @@ def make_pose_figure(
     robot: Robot,
     stand: Stand,
     statics: GravityCompensation,
-    create: Callable[..., Figure] = Figure,
+    create: Callable[..., Figure | SubFigure] = Figure,
     *,
     subject: str = DEFAULT_SUBJECT,
     verdict: Words | None = None,
-) -> Figure:
+) -> Figure | SubFigure:
     """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
     ``subject`` is the part of the title after the name of the robot, ``verdict`` the part before.
@@ -417,7 +417,7 @@ def make_pose_figure(
         drawing.TITLE_PLACE, top, "\n".join(rows), size=drawing.FONT_SIZE, va="top",
         parse_math=False,
     )  # fmt: skip
-    bottom = figure.transFigure.inverted().transform(caption.get_window_extent())[0, 1]
+    bottom = figure.transSubfigure.inverted().transform(caption.get_window_extent())[0, 1]
     size = float(np.ptp(lines.points(), axis=0).max())
     longest = max(_MAX_ARROW_RATIO * _measure_support(seen), _MIN_ARROW_SIZE * size)
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
@@ -473,8 +473,8 @@ def _make_link_handles(lines: Skeleton, joint: Mapping[str, Any]) -> list[Line2D
 
 @drawing.silence_missing_letters()
 def make_skeleton_figure(
-    robot: Robot, qpos: ArrayLike, create: Callable[..., Figure] = Figure
-) -> Figure:
+    robot: Robot, qpos: ArrayLike, create: Callable[..., Figure | SubFigure] = Figure
+) -> Figure | SubFigure:
     """Draw the joints and links of a robot in a configuration, without forces, in two panels.
 
     The views are oblique and from above. ``qpos`` has the shape (nq,); ``create`` returns an empty
@@ -686,9 +686,9 @@ def _make_room_for_texts(axes: Axes, texts: Sequence[Annotation]) -> None:
     The panel is the position of the axes before their aspect ratio is applied. Texts have a
     constant size in pixels, so the limits depend on the scale, and the scale on the limits.
     """
-    figure = axes.get_figure(root=True)
+    figure = axes.get_figure()
     assert figure is not None
-    panel = axes.get_position(original=True).transformed(figure.transFigure)
+    panel = axes.get_position(original=True).transformed(figure.transSubfigure)
     axes.apply_aspect()
     low, high = axes.get_xlim()
     scale = axes.get_window_extent().width / (high - low)  # pixels per metre

@@ -243,6 +243,7 @@ def _make_panels(
     grid = figure.subplots(num_rows, columns, squeeze=False).ravel()
     for unused in grid[len(analyses) :]:
         unused.set_axis_off()
+    assert isinstance(figure, Figure)
     return figure, list(zip(analyses, grid[: len(analyses)], strict=True))
 
 

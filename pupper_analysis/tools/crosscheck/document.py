@@ -30,7 +30,7 @@ from pupper_analysis.present.document import get_english, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
-from pupper_analysis.present.plots import draw_result, make_axes, make_figure_title
+from pupper_analysis.present.plots import Canvas, draw_result, make_figure_title, make_panels
 from pupper_analysis.robot.compare.differences import (
     MIN_FACTOR,
     UNWRITTEN_KINDS,
@@ -472,7 +472,7 @@ _SIDES_HEIGHT = 0.5
 
 
 @draw_result.register(Comparison)
-def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
+def plot_comparison(comparison: Comparison, _: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Plot the largest relative deviation of each quantity between models and between engines."""
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())
@@ -483,7 +483,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
     ]
     names = [get_english(word(quantity.name)) for quantity in check.quantities]
     title = get_english(make_figure_title(make_document(comparison)))
-    axes = make_axes(title, 0.16 * len(names) + 1.6)
+    (axes,) = make_panels(title, 0.16 * len(names) + 1.6, canvas)
     styles = zip(itertools.cycle("osv^Dx"), itertools.cycle(SERIES_COLOURS))
     rows = np.arange(len(names), dtype=float)
     shifts = _SIDES_HEIGHT * np.linspace(-0.5, 0.5, max(len(sides), 2))
@@ -498,8 +498,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
     axes.set(xscale="log", xlabel="largest relative deviation (1); zeros are left out")
     axes.set_yticks(rows, names)
     axes.invert_yaxis()
-    handles, labels = axes.get_legend_handles_labels()
-    axes.figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
+    canvas.add_legend(axes, columns=2)
     return (axes,)
 
 

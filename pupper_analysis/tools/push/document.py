@@ -26,7 +26,7 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
-from pupper_analysis.present.plots import draw_plots, draw_result
+from pupper_analysis.present.plots import Canvas, draw_plots, draw_result
 from pupper_analysis.present.verdict import judged_document, select_step_after_failure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.bench import PULSE_DURATION, PushTrial
@@ -223,10 +223,10 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
 
 
 @draw_result.register(PushRecovery)
-def plot_recovery(recovery: PushRecovery, _: Robot | None = None) -> tuple[Axes, ...]:
+def plot_recovery(recovery: PushRecovery, _: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Plot the largest survived impulse [N s] over the direction of the push."""
     title = doc.Name(get_english(text("pushes")))
-    return draw_plots([push_plot({"stand": recovery}, "stand")], title)
+    return draw_plots([push_plot({"stand": recovery}, "stand")], title, canvas)
 
 
 def _make_closed_series(

@@ -14,7 +14,7 @@ from pupper_analysis.present.document import get_english, join_words, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
-from pupper_analysis.present.plots import create_figure, draw_result, make_figure_title
+from pupper_analysis.present.plots import Canvas, draw_result, make_figure_title, make_panels
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
@@ -195,12 +195,12 @@ def _select_next_step(workspace: BaseWorkspace) -> doc.NextStep:
 
 
 @draw_result.register(BaseWorkspace)
-def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Axes, ...]:
+def plot_workspace(workspace: BaseWorkspace, _: Robot | None, canvas: Canvas) -> tuple[Axes, ...]:
     """Plot the range of each direction as a bar between both ends, with the limit at each end.
 
     Lengths [mm] and angles [deg] have a panel each.
     """
-    from pupper_analysis.present.figures.drawing import FONT_SIZE, make_page_figure, title_panel
+    from pupper_analysis.present.figures.drawing import FONT_SIZE, title_panel
 
     groups = [
         (
@@ -218,8 +218,7 @@ def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Ax
     rows = [len(names) for *_, names in groups]
     title = get_english(make_figure_title(workspace_document(workspace)))
     height = _ROW_HEIGHT * sum(rows) + _PANEL_HEIGHT * len(rows)
-    figure = make_page_figure(title, height, layout="constrained", create=create_figure)
-    panels = figure.subplots(len(groups), squeeze=False, height_ratios=rows)[:, 0]
+    panels = make_panels(title, height, canvas, rows)
     for axes, (name, unit, scale, directions) in zip(panels, groups, strict=True):
         labels = [get_english(text(direction)) for direction in directions]
         ends = [
@@ -240,9 +239,10 @@ def plot_workspace(workspace: BaseWorkspace, _: Robot | None = None) -> tuple[Ax
         axes.use_sticky_edges = False  # otherwise the leftmost bar has no margin
         axes.margins(x=_LABEL_MARGIN)
         axes.invert_yaxis()
-        title_panel(axes, "")
+        if canvas.axes is None:
+            title_panel(axes, "")
         axes.set_xlabel(f"{name} ({unit})", size=FONT_SIZE)
-    return tuple(panels)
+    return panels
 
 
 _ROW_HEIGHT, _PANEL_HEIGHT = 0.3, 0.7

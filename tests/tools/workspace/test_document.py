@@ -10,6 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import NextStep, get_english
+from pupper_analysis.present.plots import Canvas
 from pupper_analysis.present.terminal import SafeConsole, print_head
 from pupper_analysis.tools.workspace.document import (
     _abbreviate_limits,
@@ -78,7 +79,7 @@ def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
     """Reference: the ends of the intervals, in mm and in degrees."""
     pytest.importorskip("matplotlib").use("Agg")
     result = workspace()
-    lengths, angles = plot_workspace(result)
+    lengths, angles = plot_workspace(result, None, Canvas())
     assert lengths.get_xlabel().endswith("(mm)")
     assert angles.get_xlabel().endswith("(deg)")
     names = [label.get_text() for label in lengths.get_yticklabels()]
