@@ -93,7 +93,7 @@ def command(
       pupper-analysis analyze
       pupper-analysis analyze original long-leg --no-figures -v
       pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
-      pupper-analysis analyze v3 --height 0.12 --pitch 0.1
+      pupper-analysis analyze v3 --height 0.12 --pitch 0.1 --report v3.html
       pupper-analysis analyze go2.xml a1.urdf v3
 
     Exit status: 0 all verified, 1 something failed verification or the cross-check,

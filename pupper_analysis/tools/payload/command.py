@@ -44,7 +44,7 @@ def command(
     \b
     Examples:
       pupper-analysis payload v3 --payload-at 0,0,8cm
-      pupper-analysis payload go2.urdf --continuous 8
+      pupper-analysis payload robot.urdf --continuous 8
       pupper-analysis payload v3 --continuous dephy-actpack
       pupper-analysis payload v3-long-leg --height 15cm --kp 20 --kd 0.5
       pupper-analysis payload original --swing FL=2cm --com inside \\
