@@ -177,7 +177,7 @@ class Analysis(Result):
         verification: Simulation of the stand with feed-forward.
         sagging: Simulation of the stand without feed-forward.
         verdict: Verdict on the stand, with the basis of the verdict.
-        sweep: Gain sweep.
+        sweep: Gain sweep; None if it was not requested.
         check: Cross-check of the two models.
         verified: True if the verdict is good, the simulation with feed-forward holds and the models
             agree.
@@ -207,7 +207,7 @@ class Analysis(Result):
     verification: StandVerification
     sagging: StandVerification
     verdict: Verdict
-    sweep: GainSweep
+    sweep: GainSweep | None
     check: CrossCheck
     verified: bool
     failures: tuple[Diagnostic, ...]
@@ -216,13 +216,14 @@ class Analysis(Result):
 
 @check_arguments
 def analyze_variant(
-    robot: Robot, task: StandTask | None = None, *, progress: bool = False
+    robot: Robot, task: StandTask | None = None, *, sweep: bool = True, progress: bool = False
 ) -> Analysis:
     """Analyse a robot: statics, simulation and gain sweep of a stand; cross-check of the models.
 
     Args:
         robot: Robot with a floating base.
         task: Task of the stand. Default: the nominal stand.
+        sweep: Whether to compute the gain sweep, which takes half of the time.
         progress: Show a progress bar during the gain sweep.
 
     Returns:
@@ -247,9 +248,14 @@ def analyze_variant(
         holding = pool.submit(verify_stand, robot, stand, duration=HOLD_DURATION)
         checking = pool.submit(cross_check, robot)
         sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=HOLD_DURATION)
-        sweeping = pool.submit(sweep_gains, robot, stand, amplitude=0.0, progress=progress)
+        sweeping = (
+            pool.submit(sweep_gains, robot, stand, amplitude=0.0, progress=progress)
+            if sweep
+            else None
+        )
         verification, check = holding.result(), checking.result()
-        sagging, sweep = sinking.result(), sweeping.result()
+        sagging = sinking.result()
+        gain_sweep = None if sweeping is None else sweeping.result()
     failures = list(verification.failures)
     failures += [
         diagnose(
@@ -288,7 +294,7 @@ def analyze_variant(
         verification=verification,
         sagging=sagging,
         verdict=verdict,
-        sweep=sweep,
+        sweep=gain_sweep,
         check=check,
         verified=verdict.passed and not failures,
         failures=tuple(failures),

@@ -115,12 +115,14 @@ def command(
         raise ConfigurationError("--write", diagnose("written-are-variants"))
     task = make_task(stance)
     shown = style == "text"
+    is_drawn = not no_figures or report_path is not None
     analyses, robots = _analyze_all(
         meant,
         task,
         everything=everything,
         shown=shown,
-        visuals=not no_figures or report_path is not None,
+        visuals=is_drawn,
+        sweep=everything or is_drawn or json_path is not None or style == "markdown",
     )
     folder = None if no_figures else output
     rows = _compare_variants(meant, analyses)
@@ -155,10 +157,12 @@ def _analyze_all(
     everything: bool,
     shown: bool,
     visuals: bool,
+    sweep: bool,
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyse robots, and print each result as soon as it is known if ``shown``.
 
-    ``visuals`` is False if the robots are not drawn: visual meshes are then not converted.
+    ``visuals`` is False if the robots are not drawn: visual meshes are then not converted. The gain
+    sweep is computed if ``sweep``; the short output does not contain it.
 
     Returns:
         Analyses, and loaded robots with distinct names, both in the order of ``meant``.
@@ -179,7 +183,7 @@ def _analyze_all(
     out = make_console()
     analyses = []
     for robot in robots:
-        analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
+        analyses.append(analyze_variant(robot, task, sweep=sweep, progress=out.is_terminal))
         if shown and everything:
             print_document(out, analysis_document(analyses[-1]), everything=True)
         elif shown:

@@ -182,22 +182,25 @@ _NUDGE_STYLE: dict[str, Any] = {"color": colours.GREY_COLOUR, "ls": ":", "lw": 1
 def write_gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw heat maps of the gain sweeps as a PNG file: height deviation [mm] by kp and kd.
 
+    Analyses without a gain sweep are not drawn.
+
     Raises:
-        ConfigurationError: If there is no robot.
+        ConfigurationError: If there is no robot with a gain sweep.
         OutputError: If the file cannot be written.
     """
-    sweeps = [analysis.sweep for analysis in analyses]
+    analyses = [analysis for analysis in analyses if analysis.sweep is not None]
+    sweeps = [analysis.sweep for analysis in analyses if analysis.sweep is not None]
     figure, panels = _make_panels(analyses, _make_sweep_title(sweeps), 0.6)
     shown = np.concatenate([1e3 * sweep.height_deviation.ravel() for sweep in sweeps])
     shown = np.append(shown[np.isfinite(shown)], MIN_SHOWN_DEVIATION)
     # At least one decade, so that the scale has two ends.
     scale = LogNorm(MIN_SHOWN_DEVIATION, max(10 * MIN_SHOWN_DEVIATION, float(shown.max())))
-    for analysis, axes in panels:
+    for (analysis, axes), sweep in zip(panels, sweeps, strict=True):
         units = find_common_units(analysis.statics.torque_units)
-        _draw_heat_map(axes, analysis.sweep, scale, units)
+        _draw_heat_map(axes, sweep, scale, units)
         own = tuple(float(np.median(gain)) for gain in
                     (analysis.verification.kp, analysis.verification.kd))  # fmt: skip
-        _mark_own_gains(axes, analysis.sweep, *own)
+        _mark_own_gains(axes, sweep, *own)
         drawing.title_panel(axes, analysis.name)
     mapping = ScalarMappable(scale, _COLOUR_MAP)
     bar = figure.colorbar(mapping, ax=[axes for _, axes in panels], shrink=0.6, extend="min")

@@ -99,7 +99,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
             {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
         ),
         *simulation_blocks(analysis),
-        deviation_table(analysis.sweep, find_common_units(analysis.statics.torque_units)),
+        *_make_sweep_tables(analysis),
         _make_jacobian_table(analysis),
         _make_check_table(analysis),
     ]
@@ -324,6 +324,13 @@ def _make_joint_table(analysis: Analysis) -> doc.Table:
 def _format_length(length: float | None) -> str:
     """Format a length [m] in mm; a dash for None."""
     return "-" if length is None else f"{1e3 * length:.1f} mm"
+
+
+def _make_sweep_tables(analysis: Analysis) -> list[doc.Table]:
+    """Return the table of the gain sweep; none if the analysis has no gain sweep."""
+    if analysis.sweep is None:
+        return []
+    return [deviation_table(analysis.sweep, find_common_units(analysis.statics.torque_units))]
 
 
 def _make_jacobian_table(analysis: Analysis) -> doc.Block:

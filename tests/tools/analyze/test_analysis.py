@@ -9,6 +9,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from pupper_analysis.tools.analyze.analysis import (
     measure_leg_lengths,
     summarise_joints,
 )
+from tests.support.commands import answer
 from tests.support.legged import biped
 from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
@@ -210,3 +212,19 @@ def test_analysis_judges_the_stand_on_rigid_ground(monkeypatch: pytest.MonkeyPat
     assert max(analysis.stand.depths.values()) > 1e-3
     assert max(judged[0].depths.values()) == 0
     assert judged[0].task == analysis.stand.task
+
+
+@pytest.mark.slow
+def test_gain_sweep_is_computed_only_if_it_is_printed_written_or_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the time is that of the sweep. The short output does not depend on it."""
+    short = answer("analyze", "v3", "--no-figures", "--json", "all.json", folder=tmp_path)
+    sweep = json.loads((tmp_path / "all.json").read_text())["variants"]["v3"]["sweep"]
+    assert np.shape(sweep["height_deviation"]) == (5, 5)
+    monkeypatch.setattr(analysis_module, "sweep_gains", Mock(side_effect=AssertionError))
+    alone = answer("analyze", "v3", "--no-figures", folder=tmp_path)
+    assert alone.stdout == short.stdout.replace("written: all.json\n", "")
+    for more in (("-v",), ("--format", "markdown"), ("--report", "page.html")):
+        found = answer("analyze", "v3", "--no-figures", *more, folder=tmp_path)
+        assert found.returncode == 3, more  # the sweep ends it
