@@ -355,13 +355,30 @@ def name_uniquely(
     for selection, robot in zip(meant, robots, strict=True):
         name = robot.name
         if names[name] > 1 and isinstance(selection, RobotFiles):
-            name = "+".join(selection.models) or name  # with the folders, as typed
+            name = _add_folders(selection, meant)
         taken, number, first = {named.name for named in renamed}, 1, name
         while name in taken:
             number += 1
             name = f"{first} {number}"
         renamed.append(robot if name == robot.name else rename_robot(robot, name))
     return renamed
+
+
+def _add_folders(files: RobotFiles, meant: Sequence[str | VariantSpec | RobotFiles]) -> str:
+    """Return the names of files with as many folders as distinguish them from other selections."""
+    others = [other for other in meant if isinstance(other, RobotFiles) and other != files]
+    count = max((len(Path(model).parts) for model in files.models), default=1)
+    name = str(files)
+    for depth in range(2, count + 1):
+        if name not in {_join_paths(other, depth - 1) for other in others}:
+            break
+        name = _join_paths(files, depth)
+    return name
+
+
+def _join_paths(files: RobotFiles, depth: int) -> str:
+    """Return the last ``depth`` parts of each path, joined like `RobotFiles`."""
+    return "+".join("/".join(Path(model).parts[-depth:]) for model in files.models)
 
 
 def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:

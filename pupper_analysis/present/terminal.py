@@ -201,7 +201,7 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     """
     short = not everything
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
-    line = Text()
+    line, first = Text(), _style_words(messages[0], short=short) if messages else Text()
     if document.verdict is not None:
         line.append(
             _get_short_form(document.verdict) if short else _to_plain_text(document.verdict),
@@ -209,10 +209,11 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
         )
         line.append(" ")
     title = _get_short_form(document.title) if short else _to_plain_text(document.title)
+    if short and cell_len(f"{line.plain}{title}: {first.plain}") > MAX_ANSWER_WIDTH:
+        title = _drop_suffix(title)
     line.append(title, "bold")
     if messages:
         line.append(": ")
-        first = _style_words(messages[0], short=short)
         line.append_text(
             _end_at_clause(first, MAX_ANSWER_WIDTH - cell_len(line.plain)) if short else first
         )
@@ -224,6 +225,15 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
         return
     for message in messages[1:]:
         _print_line(out, Text("  ").append_text(_style_words(message)), indent=2)
+
+
+_MODEL_SUFFIX_PATTERN = re.compile(r"^([^+ ]+)\.(?:urdf|xml|mjcf)(?=$| \+ )", re.IGNORECASE)
+"""Name of a single model file at the start of a title, before its end or a payload."""
+
+
+def _drop_suffix(title: str) -> str:
+    """Return the title of a document about a single model file without the suffix of the file."""
+    return _MODEL_SUFFIX_PATTERN.sub(r"\1", title)
 
 
 def _join_short_messages(messages: Sequence[Words]) -> Text:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -78,6 +79,10 @@ def test_robots_with_equal_names_get_unique_names() -> None:
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
     names = [one.name for one in name_uniquely([*meant, "v3"], [robot] * 4)]
     assert names == ["a.urdf", "b.xml", "b.xml 2", "v3"]
+    paths = ("x/y/a.urdf", "x/z/a.urdf", "b.xml")
+    meant = [RobotFiles((path,), {}) for path in paths]
+    named = [replace(robot, name=str(files)) for files in meant]
+    assert [one.name for one in name_uniquely(meant, named)] == ["y/a.urdf", "z/a.urdf", "b.xml"]
 
 
 @pytest.mark.slow

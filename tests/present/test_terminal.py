@@ -26,6 +26,7 @@ from pupper_analysis.present.terminal import (
     MAX_SHORT_NOTES,
     SafeConsole,
     print_document,
+    print_head,
 )
 from tests.support.commands import run_command
 from tests.support.printing import printed
@@ -218,6 +219,24 @@ def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warni
         "HOLDS (in full) robot: largest load 1 N m",
         *(f"  {warning.en}" for warning in warnings),
     ]
+
+
+@pytest.mark.parametrize(
+    ("title", "shown"),
+    [
+        ("legged_robot.urdf", "legged_robot"),
+        ("legged_robot.urdf + 2 kg", "legged_robot + 2 kg"),
+        ("robot.urdf+scene.xml", "robot.urdf+scene.xml"),
+    ],
+)
+def test_suffix_of_a_file_is_dropped_if_the_verdict_is_too_wide(title: str, shown: str) -> None:
+    """The verdict of a G1 was cut before the joint. Two files need their suffixes."""
+    width = MAX_ANSWER_WIDTH - len(f"{shown}: ")
+    for message, expected in (("x" * (width - 9), title), ("x" * width, shown)):
+        file = io.StringIO()
+        document = Document(Name(""), Name(title), (), findings=(Name(message),))
+        print_head(SafeConsole(file=file, width=200), document)
+        assert file.getvalue() == f"{expected}: {message}\n"
 
 
 def test_message_that_is_too_wide_ends_at_a_clause() -> None:
