@@ -20,5 +20,5 @@ def test_fixed_base_has_a_range_of_zero(
     status, _, err = run_command(capfd, "workspace", str(path), *typed.split())
     fault, step = err.splitlines()
     assert status == 2
-    assert fault.startswith("error: arm has a fixed base: the range of the base is zero")
+    assert fault.startswith("error: arm.urdf has a fixed base: the range of the base is zero")
     assert step.startswith(f"  next: pupper-analysis hold {path}")
