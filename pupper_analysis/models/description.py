@@ -55,7 +55,7 @@ class Description:
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
         null_efforts: {joint: force or control range of the MJCF that permits no force}, because its
-            ends are equal or inverted. MuJoCo drops such a range when it compiles.
+            ends are equal or inverted. MuJoCo drops such a range when it compiles. Or a gear of 0.
         mimics: {joint: (leader, multiplier, offset [rad, m])} of mimic couplings that matching
             removed from ``urdf``, with the joint names and zero positions of ``mjcf``.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the

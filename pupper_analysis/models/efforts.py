@@ -71,7 +71,8 @@ class EffortStatement(Result):
         file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces the files' limits.
         element: ``joint``, ``actuator`` or ``tendon``.
         name: Name of the element; names of several actuators at a joint are separated by commas.
-        attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
+        attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``; ``gear`` if
+            the gear is 0.
         stated: Lower and upper end of the range in the file. For an effort, -effort and effort. For
             several actuators, the sum at the joint.
         factor: Torque at the joint per unit of ``stated``. For an actuator, the gear; for a
@@ -249,7 +250,7 @@ def resolve_effort_limit(
     drives = list_joint_actuators(model, joint) if drives is None else drives
     stated = _list_statements(model, joint, drives)
     if empty_range is not None:
-        stated.append(empty_range)
+        stated.insert(0, empty_range)  # as the origin, if a gear of 0 scales other ranges to 0
     if effort is not None and effort < UNSTATED:
         # First, so that of two equal limits the one of the URDF is the origin.
         range_ = (-effort, effort)
@@ -316,10 +317,11 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Find the joints of an MJCF whose force or control range permits no force.
+    """Find the joints of an MJCF whose force or control range permits no force, or with gear 0.
 
     The ends of such a range are equal or inverted. MuJoCo ignores an empty range without a message,
-    so the compiled model has no limit for the joint.
+    so the compiled model has no limit for the joint. An actuator with gear 0 exerts no torque at
+    its joint.
 
     Returns:
         {joint: statement with the empty range}.
@@ -349,8 +351,10 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the force or control range of an actuator that permits no force; None without one."""
+    """Return the range of an actuator that permits no force, or its gear of 0; None without one."""
     name = actuator.name or actuator.target
+    if actuator.gear[0] == 0:
+        return EffortStatement.empty("MJCF", "actuator", name, "gear", (0.0, 0.0))
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:
         ranges.append(("ctrlrange", actuator.ctrlrange, actuator.ctrllimited))

@@ -378,7 +378,8 @@ class SpecTree:
     ) -> None:
         """Convert the actuator at a joint (`motor_at`) to a position servo, or add a servo.
 
-        Limits of the control and of the activation, and the delay, are removed.
+        Limits of the control and of the activation, and the delay, are removed. A gear of 0, which
+        transmits no torque, becomes 1: `null_efforts` then limits the torque to 0.
 
         Args:
             joint: Joint.
@@ -388,7 +389,7 @@ class SpecTree:
                 existing force range of the actuator stays.
         """
         motor = self.motor_at(joint) or self._add_actuator(joint)
-        gear = float(motor.gear[0]) or 1.0
+        gear = motor.gear[0] = float(motor.gear[0]) or 1.0
         motor.set_to_position(kp=float(kp) / gear**2, kv=float(kd) / gear**2, inheritrange=0.0)
         motor.ctrllimited = motor.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
         motor.actrange, motor.delay, motor.nsample = (0.0, 0.0), 0.0, 0

@@ -278,8 +278,9 @@ def write_position_servos(
 ) -> None:
     """Convert actuators of a model to position servos without filter, in place.
 
-    Gears and ranges are kept. The activation states of removed filters remain in the model
-    (``na``), but are no longer assigned to an actuator.
+    Gears and ranges are kept; an actuator with gear 0 exerts no torque and gets no gains. The
+    activation states of removed filters remain in the model (``na``), but are no longer assigned to
+    an actuator.
 
     Args:
         model: MuJoCo model.
@@ -288,6 +289,7 @@ def write_position_servos(
         kd: Damping at the joints, scalar or shape (n,) [N m s/rad; N s/m for a slide].
     """
     squared = read_gears(model, actuators) ** 2
+    squared[squared == 0] = math.inf
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
     model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value

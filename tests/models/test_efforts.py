@@ -6,6 +6,7 @@ MuJoCo's actuator forces and simulations are the references.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -450,6 +451,40 @@ def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
     ):
         verdict = judge.judge_simulation(robot, stand, fed, statics=prediction)
         assert [failure.code for failure in verdict.failures] == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("servos", [True, False])
+def test_a_gear_of_zero_is_a_motor_without_torque(tmp_path: Path, servos: bool) -> None:
+    """Reference: bare MuJoCo, in which no command of the actuator exerts a torque."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text()
+    begin = text.index('joint="FL_knee"')
+    text = text[:begin] + text[begin:].replace('joint="FL_knee"', 'joint="FL_knee" gear="0"', 1)
+    if not servos:
+        text = re.sub(r'<position ([^>]*?) kp="[^"]*" kv="[^"]*"', r"<motor \1", text)
+    pair.mjcf.write_text(text)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[model.joint("FL_knee").dofadr[0]] == 0.0
+    robot = pa.load_robot(*pair)
+    knee = robot.joint_names.index("FL_knee")
+    assert robot.efforts[knee].code == "zero"
+    origin = robot.efforts[knee].origin
+    assert origin is not None
+    assert origin.attribute == "gear"
+    assert list(np.flatnonzero(robot.effort_limits == 0.0)) == [knee]
+    for drive in (model_with_servos(robot), model_with_servos(robot, 200.0, 10.0)):
+        assert np.isfinite(drive.model.actuator_gainprm).all()
+        data = mujoco.MjData(drive.model)
+        data.ctrl[:] = 1.0
+        mujoco.mj_forward(drive.model, data)
+        assert data.qfrc_actuator[drive.model.joint("FL_knee").dofadr[0]] == 0.0
+    rules = [finding.rule for finding in pa.audit_model(pair.mjcf).findings]
+    assert "actuator-without-effect" in rules
+    assert "effort-or-velocity-zero" not in rules  # MuJoCo does not ignore a gear of zero
 
 
 @pytest.mark.slow

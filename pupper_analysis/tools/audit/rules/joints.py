@@ -377,7 +377,7 @@ def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
     """
     if isinstance(robot, MjcfModel):
         for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
-            if empty.stated == (0.0, 0.0):
+            if empty.stated == (0.0, 0.0) and empty.attribute != "gear":  # actuator-without-effect
                 yield _make_zero_finding(robot, name, [Term(empty.attribute)])
         return
     for name, stated in _list_stated_limits(robot):
