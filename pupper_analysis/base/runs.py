@@ -36,6 +36,7 @@ class RunFiles:
             such files is permitted.
         command: Words of the command line; empty in Python.
         request: {option: value} of the command line or of a file of options.
+        language: Language of the printed texts: ``"en"`` or ``"zh"``.
     """
 
     force: bool = False
@@ -44,6 +45,7 @@ class RunFiles:
     written: set[Identity] = field(default_factory=set)
     command: tuple[str, ...] = ()
     request: dict[str, Any] = field(default_factory=dict)
+    language: str = "en"
 
     def register_output(self, path: Path) -> None:
         """Register an existing file as an output of the run; a missing file is ignored.
@@ -108,6 +110,15 @@ def is_command_line() -> bool:
     """
     run = _current_run.get()
     return run is not None and bool(run.command)
+
+
+def current_language() -> str:
+    """Return the language of the printed texts: ``"zh"`` if the command selects it, else ``"en"``.
+
+    Threads that the command starts get ``"en"``.
+    """
+    run = _current_run.get()
+    return "en" if run is None else run.language
 
 
 @contextmanager

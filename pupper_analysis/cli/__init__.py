@@ -21,6 +21,7 @@ from pathlib import Path
 import click
 
 import pupper_analysis
+from pupper_analysis.base.diagnostics import fill_template, phrase
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.inputs import discard_standard_input
 from pupper_analysis.base.kinds import GENERATOR_NAME
@@ -177,10 +178,14 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
 
     ``debug`` prints the traceback of an unexpected error.
     """
+    language = "en"
     try:
         with ensure_run() as run:  # includes parsing, because options read files
             run.command = (GENERATOR_NAME, *arguments)
-            return command.main(args=arguments, standalone_mode=False) or EXIT_VERIFIED
+            try:
+                return command.main(args=arguments, standalone_mode=False) or EXIT_VERIFIED
+            finally:
+                language = run.language
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
     except click.UsageError as error:
@@ -188,7 +193,10 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         text = f"{error.format_message()} (see: {where} --help)"
         _print_error(text, *getattr(error, "__notes__", ()))
     except PupperAnalysisError as error:
-        _print_error(error.diagnostic.short or str(error), *getattr(error, "__notes__", ()))
+        message = error.diagnostic.text(language)
+        if language == "en":
+            message = error.diagnostic.short or str(error)
+        _print_error(message, *getattr(error, "__notes__", ()), language=language)
     except click.ClickException as error:
         _print_error(str(error), *getattr(error, "__notes__", ()))
     except click.Abort as error:
@@ -236,14 +244,16 @@ def _describe_lack(error: Exception) -> str:
     return ""
 
 
-def _print_error(text: str, *next_commands: str) -> None:
+def _print_error(text: str, *next_commands: str, language: str = "en") -> None:
     """Print an error on standard error, and command lines to run next."""
     from pupper_analysis.present.formats import escape_control
 
     raise_if_ended()  # a library may have turned the signal into this error
-    click.echo(f"error: {escape_control(text)}", err=True)
+    click.echo(f"{phrase('error-prefix', language)}{escape_control(text)}", err=True)
     for line in filter(None, next_commands):
-        click.echo(f"  next: {escape_control(line)}", err=True)
+        values = {"command": escape_control(line)}
+        proposal = fill_template(phrase("next-command", language), values, language)
+        click.echo(f"  {proposal}", err=True)
 
 
 def _disable_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:

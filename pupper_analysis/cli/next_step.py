@@ -20,8 +20,14 @@ from pupper_analysis.base.errors import ModelError, StanceUnreachableError, Unkn
 from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.tools import find_format
-from pupper_analysis.cli.shared import ROBOT_WORDS, TYPED_WORDS, OutputPath, sort_model_paths
-from pupper_analysis.present.document import NextStep
+from pupper_analysis.cli.shared import (
+    ROBOT_WORDS,
+    TYPED_WORDS,
+    OutputPath,
+    print_text,
+    sort_model_paths,
+)
+from pupper_analysis.present.document import NextStep, text
 
 _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
 """Parameter names of the arguments of command-line commands that specify a robot or its model
@@ -360,7 +366,7 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
 def print_next_step(step: NextStep | None) -> None:
     """Print the command line of a suggested next step, if any (`complete_command`)."""
     if line := complete_command(step):
-        click.echo(f"  next: {line}")
+        print_text(text("next-command", command=line), indent=2)
 
 
 def _split_parameter(value: object) -> list[str]:

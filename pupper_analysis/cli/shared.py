@@ -23,7 +23,7 @@ import click
 from click.core import ParameterSource
 
 from pupper_analysis.base import kinds
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import (
     MODEL_FAULT_CODES,
@@ -36,12 +36,12 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
-from pupper_analysis.base.runs import ensure_run, register_input
+from pupper_analysis.base.runs import current_language, current_run, ensure_run, register_input
 from pupper_analysis.base.units import UNIT_FACTORS, Position, lacks_unit
 
 if TYPE_CHECKING:
     from pupper_analysis.base.results import Result
-    from pupper_analysis.present.document import Block, NextStep, Report
+    from pupper_analysis.present.document import Block, NextStep, Report, Words
     from pupper_analysis.present.html.write import ReportInput
     from pupper_analysis.robot.robot import Robot
 if TYPE_CHECKING:
@@ -186,10 +186,44 @@ _WELDED_BASE_CODES = ("robot-is-welded", "payload-on-fixed-base")
 robot."""
 
 
+LANGUAGE_VARIABLE: Final = "PUPPER_ANALYSIS_LANGUAGE"
+"""Environment variable with the default of the option ``--language``."""
+
+
+def _set_language(context: click.Context, _option: click.Parameter, language: str | None) -> None:
+    """Set the language of the run to the value of ``--language``; called by click."""
+    context.meta[_LANGUAGE] = language
+    run = current_run()
+    if run is not None and language is not None:
+        run.language = language
+
+
+_LANGUAGE: Final = "pupper_analysis.language"
+"""Key of ``click.Context.meta`` whose value is the language of the printed texts."""
+
+
+LANGUAGE_OPTION: Final = click.Option(
+    ["--language"],
+    type=click.Choice(LANGUAGES),
+    default=LANGUAGES[0],
+    show_default=True,
+    envvar=LANGUAGE_VARIABLE,
+    show_envvar=True,
+    is_eager=True,  # errors about the other parameters are in this language
+    expose_value=False,  # JSON does not depend on the language
+    callback=_set_language,
+    help="Language of the answer: English (en) or Chinese (zh).",
+)
+"""Option ``--language`` of all command-line commands. `current_language` returns its value. The
+default does not depend on the locale, so that the output of scripts is reproducible.
+"""
+
+
 class Command(click.Command):
     """Command-line command that checks, before computing, that all results can be written.
 
-    A command with results also has the option ``--force``.
+    Each command has the option ``--language``. A command with results also has the option
+    ``--force``.
 
     Args:
         meanings: {name of an argument: meaning of the argument}, for the error about a missing
@@ -206,6 +240,7 @@ class Command(click.Command):
         self._has_force = any(option.name == "force" for option in self.params)
         if self.outputs and not self._has_force:
             self.params.append(click.Option(["--force"], is_flag=True, help=FORCE_HELP))
+        self.params.append(LANGUAGE_OPTION)
 
     @property
     def outputs(self) -> list[click.Parameter]:
@@ -349,6 +384,7 @@ class Command(click.Command):
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
+        run.language = context.meta.get(_LANGUAGE) or run.language
         take_parameter = context.params.get if self._has_force else context.params.pop
         run.force = bool(take_parameter("force", False))
         for name in _list_named_files(self, context):
@@ -1230,11 +1266,22 @@ def confirm_written(path: Path | str) -> None:
     If standard output carries another format than text, the path is printed on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT
+    from pupper_analysis.present.document import text
     from pupper_analysis.present.formats import escape_control
 
     if Path(path) != STANDARD_OUTPUT:
         style = click.get_current_context().params.get("style", "text")
-        click.echo(f"written: {escape_control(str(path))}", err=style != "text")
+        print_text(text("file-written", path=escape_control(str(path))), err=style != "text")
+
+
+def print_text(words: Words, *, indent: int = 0, err: bool = False) -> None:
+    """Print a text in the language of the command, after ``indent`` spaces.
+
+    ``err`` selects standard error.
+    """
+    from pupper_analysis.present.document import translate
+
+    click.echo(f"{' ' * indent}{translate(words, current_language())}", err=err)
 
 
 def write_json(path: Path | None, content: object) -> None:

@@ -90,7 +90,14 @@ def _select_short_form(value: object) -> object:
 
 def get_english(words: Words) -> str:
     """Return the English form of a translated text, or the string of an untranslated name."""
-    return words.en if isinstance(words, Text) else words.text
+    return translate(words, "en")
+
+
+def translate(words: Words, language: str) -> str:
+    """Return a text in a language ("en", "zh"), or the string of an untranslated name."""
+    if isinstance(words, Text):
+        return words.zh if language == "zh" else words.en
+    return words.text
 
 
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
@@ -110,9 +117,7 @@ def _fill_short(template: str, values: Mapping[str, object]) -> str:
 
 def _select_string(value: object, language: str) -> object:
     """Return the string of a `Text` or `Name` in a language, or any other value unchanged."""
-    if isinstance(value, Text):
-        return getattr(value, language)
-    return value.text if isinstance(value, Name) else value
+    return translate(value, language) if isinstance(value, Text | Name) else value
 
 
 @dataclass(frozen=True)

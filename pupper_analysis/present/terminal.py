@@ -6,6 +6,9 @@ counts the omitted findings, tables and notes.
 
 In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
 table is printed in parts that repeat the first column.
+
+The console contains the language of the texts. Chinese texts have no short form: the short view
+cuts the whole text at the end of a clause.
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ from typing import Any, Literal, NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console
+from rich.containers import Lines as RichLines
 from rich.text import Text
 
+from pupper_analysis.base.runs import current_language
 from pupper_analysis.present.document import (
     Block,
     Document,
@@ -30,7 +35,9 @@ from pupper_analysis.present.document import (
     Report,
     Table,
     Words,
-    get_english,
+    join_words,
+    text,
+    translate,
 )
 from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
@@ -58,12 +65,12 @@ class _ViewOptions(NamedTuple):
     """Options with which a block of a document, such as a table, is printed.
 
     Attributes:
-        out: Console, which determines the width.
+        out: SafeConsole, which determines the width and the language.
         place: Number of the finding that the block contains, from 1; not used by other blocks.
         everything: True to print also details and quoted lines.
     """
 
-    out: Console
+    out: SafeConsole
     place: int
     everything: bool
 
@@ -88,20 +95,34 @@ def _escape_line(text: str) -> str:
 
 
 class SafeConsole(Console):
-    """Console that escapes control characters (ESC, U+202E) of strings; callers escape ``Text``."""
+    """Console that escapes control characters (ESC, U+202E) of strings; callers escape ``Text``.
+
+    Args:
+        language: Language of the printed texts: ``"en"`` or ``"zh"``.
+        **options: Keyword arguments of rich's ``Console``.
+
+    Attributes:
+        language: Language of the printed texts.
+    """
+
+    def __init__(self, *, language: str = "en", **options: Any) -> None:
+        super().__init__(**options)
+        self.language = language
 
     def render_str(self, text: str, **_: Any) -> Text:
         """Return a text with escaped control characters, line by line; markup has no effect."""
         return Text("\n".join(map(_escape_line, text.split("\n"))))
 
 
-def make_console(*, stderr: bool = False) -> Console:
-    """Create a console of rich that escapes control characters of strings."""
-    return SafeConsole(stderr=stderr, highlight=False, emoji=False, markup=False)
+def make_console(*, stderr: bool = False) -> SafeConsole:
+    """Create a console that escapes control characters, in the language of the running command."""
+    return SafeConsole(
+        language=current_language(), stderr=stderr, highlight=False, emoji=False, markup=False
+    )
 
 
 def print_report(
-    out: Console,
+    out: SafeConsole,
     report: Report,
     *,
     everything: bool = False,
@@ -139,11 +160,11 @@ def print_report(
     if next_command and (several or not single):
         _print_next_command(out, next_command)
     if several and any(document.blocks for document in report.documents):
-        _print_line(out, Text("with -v: every table and note", "dim"))
+        _print_line(out, Text(translate(text("verbose-prints-all"), out.language), "dim"))
 
 
 def print_document(
-    out: Console,
+    out: SafeConsole,
     document: Document,
     *,
     everything: bool = False,
@@ -172,12 +193,13 @@ def print_document(
         _print_left_out(out, document, hidden_notes)
 
 
-def _print_next_command(out: Console, command: str) -> None:
+def _print_next_command(out: SafeConsole, command: str) -> None:
     """Print the proposed next command line. The line is not wrapped, so it can be copied."""
-    _print_line(out, Text(f"  next: {_escape_line(command)}"), wrap=False)
+    line = translate(text("next-command", command=_escape_line(command)), out.language)
+    _print_line(out, Text(f"  {line}"), wrap=False)
 
 
-def print_summary(out: Console, document: Document, *, next_command: str = "") -> None:
+def print_summary(out: SafeConsole, document: Document, *, next_command: str = "") -> None:
     """Print a document's verdict and key figures, and the next command."""
     print_head(out, document)
     if next_command:
@@ -194,37 +216,39 @@ def _is_left_out(document: Document, block: Block, place: int) -> bool:
     return block.detail or (document.brief and isinstance(block, Table))
 
 
-def print_head(out: Console, document: Document, *, everything: bool = False) -> None:
+def print_head(out: SafeConsole, document: Document, *, everything: bool = False) -> None:
     """Print a document's verdict, title, failures and findings.
 
     If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed.
     """
-    short = not everything
+    short, language = not everything, out.language
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
-    line, first = Text(), _style_words(messages[0], short=short) if messages else Text()
+    line, first = Text(), Text()
+    if messages:
+        first = _style_words(messages[0], language, short=short)
     if document.verdict is not None:
         line.append(
-            _get_short_form(document.verdict) if short else _to_plain_text(document.verdict),
+            _to_plain_text(document.verdict, language, short=short),
             f"bold {MARK_STYLES.get(document.mark, '')}".strip(),
         )
         line.append(" ")
-    title = _get_short_form(document.title) if short else _to_plain_text(document.title)
+    title = _to_plain_text(document.title, language, short=short)
     if short and cell_len(f"{line.plain}{title}: {first.plain}") > MAX_ANSWER_WIDTH:
         title = _drop_suffix(title)
     line.append(title, "bold")
     if messages:
-        line.append(": ")
+        line.append(translate(text("colon"), language))
         line.append_text(
             _end_at_clause(first, MAX_ANSWER_WIDTH - cell_len(line.plain)) if short else first
         )
     _print_line(out, line)
     if short:
-        joined = _join_short_messages(messages[1:])
+        joined = _join_short_messages(messages[1:], language)
         if joined.plain:
             _print_line(out, joined, indent=2)
         return
     for message in messages[1:]:
-        _print_line(out, Text("  ").append_text(_style_words(message)), indent=2)
+        _print_line(out, Text("  ").append_text(_style_words(message, language)), indent=2)
 
 
 _MODEL_SUFFIX_PATTERN = re.compile(r"^([^+ ]+)\.(?:urdf|xml|mjcf)(?=$| \+ )", re.IGNORECASE)
@@ -236,26 +260,33 @@ def _drop_suffix(title: str) -> str:
     return _MODEL_SUFFIX_PATTERN.sub(r"\1", title)
 
 
-def _join_short_messages(messages: Sequence[Words]) -> Text:
+def _join_short_messages(messages: Sequence[Words], language: str) -> Text:
     """Join the short forms of messages into a line of about `MAX_ANSWER_WIDTH` characters.
 
     Messages that do not fit are counted.
     """
     line, left = Text(), len(messages)
+    semicolon = translate(text("semicolon"), language)
     for message in messages:
-        part = _style_words(message, short=True)
-        more = f"; {left - 1} more: -v" if left > 1 else ""
-        room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - len(more)
+        part = _style_words(message, language, short=True)
+        more = f"{semicolon}{_count_more_messages(left - 1, language)}" if left > 1 else ""
+        room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - cell_len(more)
         if line.plain and cell_len(part.plain) > room:
-            line.append(f"; {left} more: -v", "dim")
+            line.append(f"{semicolon}{_count_more_messages(left, language)}", "dim")
             break
-        line.append("; " if line.plain else "  ").append_text(_end_at_clause(part, room))
+        line.append(semicolon if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1
     return line
 
 
-_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
-"""Place at which a message may end: a comma, semicolon or colon before a space, or a bracket."""
+def _count_more_messages(count: int, language: str) -> str:
+    """Return the number of messages that the second line omits, with the option ``-v``."""
+    return translate(text("more-messages", count=count), language)
+
+
+_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。（]")  # noqa: RUF001
+"""Place at which a message may end: a comma, semicolon or colon before a space, or a bracket; or
+one of the Chinese punctuation marks."""
 
 _PATH_PATTERN = re.compile(r"[/\\][^/\\]*\.\w+")
 """End of a path with a folder: separator, name and suffix of a file."""
@@ -280,18 +311,19 @@ def _end_at_clause(message: Text, room: int) -> Text:
         for start in starts
         if _MIN_CUT_SHARE * room <= cell_len(start) <= room - 2
         and start.count("(") == start.count(")")
+        and start.count("（") == start.count("）")  # noqa: RUF001
     ]
     if not fitting or _PATH_PATTERN.search(message.plain, len(fitting[-1])):
         return message
     return message[: len(fitting[-1])].append(" …")
 
 
-def print_table(out: Console, table: Table) -> None:
+def print_table(out: SafeConsole, table: Table) -> None:
     """Print a table with all columns."""
     _print_block(out, table, everything=True)
 
 
-def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = False) -> None:
+def print_notes(out: SafeConsole, notes: Sequence[Words], *, everything: bool = False) -> None:
     """Print notes in the given order.
 
     Unless ``everything``, of more than `MAX_SHORT_NOTES` notes only the first are printed, and the
@@ -300,13 +332,16 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
     shown = notes
     if not everything and len(notes) > MAX_SHORT_NOTES:
         shown = notes[: MAX_SHORT_NOTES - 1]
+    prefix = translate(text("note-line", note=""), out.language)
     for note in shown:
-        _print_line(out, Text("note: ", "yellow").append(_to_plain_text(note), "yellow"), indent=6)
+        line = f"{prefix}{_to_plain_text(note, out.language)}"
+        _print_line(out, Text(line, "yellow"), indent=cell_len(prefix))
     if len(shown) < len(notes):
-        _print_line(out, Text(f"… and {len(notes) - len(shown)} more notes: -v", "yellow"))
+        left = text("more-notes", count=len(notes) - len(shown))
+        _print_line(out, Text(translate(left, out.language), "yellow"))
 
 
-def _print_left_out(out: Console, document: Document, notes: int) -> None:
+def _print_left_out(out: SafeConsole, document: Document, notes: int) -> None:
     """Print how many findings, tables and notes the short view omits, and the option ``-v``."""
     left, place = [], 0
     for block in document.blocks:
@@ -314,13 +349,14 @@ def _print_left_out(out: Console, document: Document, notes: int) -> None:
         if _is_left_out(document, block, place):
             left.append(block)
     counts = {
-        "finding": sum(isinstance(block, FileFinding) for block in left),
-        "table": sum(isinstance(block, Table) for block in left),
-        "note": notes,
+        "counted-findings": sum(isinstance(block, FileFinding) for block in left),
+        "counted-tables": sum(isinstance(block, Table) for block in left),
+        "counted-notes": notes,
     }
-    parts = [f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count]
+    parts = [text(key, count=count) for key, count in counts.items() if count]
     if parts:
-        _print_line(out, Text(f"  with -v: {', '.join(parts)}", "dim"))
+        line = translate(text("verbose-prints", parts=join_words(parts)), out.language)
+        _print_line(out, Text(f"  {line}", "dim"))
 
 
 @singledispatch
@@ -338,42 +374,51 @@ def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
     rows = _lay_out_table(view.out, table, columns)
     return [
         _PrintedLine(Text("")),
-        _PrintedLine(Text(_to_plain_text(table.title), "bold")),
+        _PrintedLine(Text(_to_plain_text(table.title, view.out.language), "bold")),
         *(_PrintedLine(row, wrap=False) for row in rows),
-        *(_PrintedLine(Text(_to_plain_text(note), "dim")) for note in table.notes),
+        *(
+            _PrintedLine(Text(_to_plain_text(note, view.out.language), "dim"))
+            for note in table.notes
+        ),
     ]
 
 
 @_make_lines.register
 def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_PrintedLine]:
     """Convert a finding in a file to lines: title, places and notes."""
-    head = Text(f"{view.place}. ")
+    head, language = Text(f"{view.place}. "), view.out.language
     if block.tag is not None:
-        head.append(f"{_to_plain_text(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
+        tag = _to_plain_text(block.tag, language)
+        head.append(f"{tag} ", MARK_STYLES.get(block.tag.mark, "cyan"))
     files = "   ".join(
-        _escape_line(place.path) or _to_plain_text(place.place) for place in block.columns
+        _escape_line(place.path) or _to_plain_text(place.place, language) for place in block.columns
     )
     rows = [f"   {files}"]
     if view.everything:
-        lines = (get_english(place.line) for place in block.columns)
+        lines = (translate(place.line, language) for place in block.columns)
         quoted = (row for line in lines for row in line.split("\n") if row)
         rows += [f"   | {_escape_line(row)}" for row in quoted]
     return [
         _PrintedLine(Text("")),
-        _PrintedLine(head.append(_to_plain_text(block.title)), 3),
+        _PrintedLine(head.append(_to_plain_text(block.title, language)), 3),
         *(_PrintedLine(Text(row, "dim"), wrap=False) for row in rows),
-        *(_PrintedLine(Text("   ").append_text(_style_words(note)), 3) for note in block.notes),
+        *(
+            _PrintedLine(Text("   ").append_text(_style_words(note, language)), 3)
+            for note in block.notes
+        ),
     ]
 
 
 @_make_lines.register
-def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
+def _make_remark_lines(block: Lines, view: _ViewOptions) -> list[_PrintedLine]:
     """Convert remarks to lines: the title, if there is one, and a line per remark."""
-    lines = [_PrintedLine(_style_words(line)) for line in block.lines]
+    language = view.out.language
+    lines = [_PrintedLine(_style_words(line, language)) for line in block.lines]
     if block.title is None:
         return lines
     style = f"bold {MARK_STYLES.get(block.mark, '')}".strip()
-    return [_PrintedLine(Text("")), _PrintedLine(Text(_to_plain_text(block.title), style)), *lines]
+    title = Text(_to_plain_text(block.title, language), style)
+    return [_PrintedLine(Text("")), _PrintedLine(title), *lines]
 
 
 @_make_lines.register
@@ -383,46 +428,85 @@ def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
     return [_PrintedLine(Text(_escape_line(row)), wrap=False) for row in rows]
 
 
-def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
+def _print_block(out: SafeConsole, block: Block, place: int = 0, *, everything: bool) -> None:
     """Print a block of a document; ``place`` is the number of a finding, from 1."""
     for line in _make_lines(block, _ViewOptions(out, place, everything)):
         _print_line(out, line.text, indent=line.indent, wrap=line.wrap)
 
 
-def _print_line(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> None:
+def _print_line(out: SafeConsole, line: Text, *, indent: int = 0, wrap: bool = True) -> None:
     """Print a line, wrapped to the width of a terminal; unwrapped if the output is no terminal."""
     rows = [line]
     width = max(out.width, _MIN_TERMINAL_WIDTH)
     if wrap and out.is_terminal and cell_len(line.plain) > width:
-        words = (cell_len(word) + indent for word in line.plain.split())  # no word is cut
-        rows = [*line.wrap(out, max(width, *words) - indent)]
+        words = [cell_len(word) + indent for word in _split_words(line.plain)]  # no word is cut
+        rows = [*_WrappedText().append_text(line).wrap(out, max(width, *words) - indent)]
     for number, row in enumerate(rows):
         out.print(Text(" " * indent if number else "").append_text(row), soft_wrap=True)
 
 
-def _to_plain_text(words: Words) -> str:
-    """Return the English text of words, with control characters escaped, without style."""
-    return _escape_line(get_english(words))
+def _to_plain_text(words: Words, language: str, *, short: bool = False) -> str:
+    """Return the text of words, with control characters escaped, without style.
+
+    ``short`` selects the short form of an English text that has one.
+    """
+    if short and language == "en" and isinstance(words, TranslatedText) and words.short:
+        return _escape_line(words.short)
+    return _escape_line(translate(words, language))
 
 
-def _get_short_form(words: Words) -> str:
-    """Return the short English form of words, escaped; the whole English text without one."""
-    short = words.short if isinstance(words, TranslatedText) else ""
-    return _escape_line(short) or _to_plain_text(words)
-
-
-def _style_words(words: Words, *, short: bool = False) -> Text:
+def _style_words(words: Words, language: str, *, short: bool = False) -> Text:
     """Convert words to a text for the terminal, with a style for their emphasis (``mark``).
 
-    The style applies to a first word in capitals, such as HOLDS. Other texts have a style only if
-    the mark is ``quiet``. ``short`` selects the short form.
+    The style applies to a first word that has capitals in English, such as HOLDS. Other texts have
+    a style only if the mark is ``quiet``. ``short`` selects the short form.
     """
-    plain = _get_short_form(words) if short else _to_plain_text(words)
+    plain = _to_plain_text(words, language, short=short)
     style = MARK_STYLES.get(words.mark, "")
-    first = plain.partition(" ")[0]
-    if style and first.isupper():
+    first, space, _ = plain.partition(" ")
+    english = plain if language == "en" else _to_plain_text(words, "en")
+    if style and english.partition(" ")[0].isupper() and (space or language == "en"):
         return Text(first, f"bold {style}").append(plain[len(first) :], "")
     return Text(plain, style if words.mark == "quiet" else "")
+
+
+_WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff01-\uff60"
+"""Ranges of Chinese characters and punctuation marks, for a pattern."""
+
+_WIDE_PATTERN = re.compile(f"[{_WIDE}]")
+"""Chinese character or punctuation mark."""
+
+_WORD_PATTERN = re.compile(
+    rf"\s*[（“]*(?:[{_WIDE}]|[^\s{_WIDE}]+)[，。；：、！？）”]*\s*"  # noqa: RUF001
+)
+"""Part of a line that is not divided: a word, or a Chinese character, with the punctuation marks
+that must not begin or end a row."""
+
+
+def _split_words(line: str) -> list[str]:
+    """Divide a line into words. In Chinese, the line may also break after most characters."""
+    return [part for word in _WORD_PATTERN.findall(line) for part in word.split()]
+
+
+class _WrappedText(Text):
+    """Text of rich that also breaks lines between Chinese characters."""
+
+    def wrap(self, console: Console, width: int, **options: Any) -> RichLines:
+        """Wrap this text to ``width`` cells, without a cut in a name or number; called by rich."""
+        if self.plain.isascii() or not _WIDE_PATTERN.search(self.plain):
+            return super().wrap(console, width, **options)
+        rows = RichLines()
+        for line in self.split(allow_blank=True):
+            breaks, filled = [], 0
+            for word in _WORD_PATTERN.finditer(line.plain):
+                if filled and filled + cell_len(word[0].rstrip()) > width:
+                    breaks.append(word.start())
+                    filled = 0
+                filled += cell_len(word[0])
+            rows.extend(line.divide(breaks))
+        for row in rows:
+            row.rstrip()
+        return rows
 
 
 COLUMN_GAP = 2
@@ -471,13 +555,15 @@ class _PrintedColumn(NamedTuple):
     least: int
 
 
-def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
+def _lay_out_table(out: SafeConsole, table: Table, chosen: Sequence[int]) -> list[Text]:
     """Lay out a table as lines; divide a table that is too wide into parts below each other.
 
     ``chosen`` contains the indices of the displayed columns. Each part begins with the first
     column.
     """
-    first, *others = [_measure_column(table, index, wraps=index != chosen[0]) for index in chosen]
+    first, *others = [
+        _measure_column(table, index, out.language, wraps=index != chosen[0]) for index in chosen
+    ]
     width, parts = max(out.width, _MIN_TERMINAL_WIDTH), [[first]]
     for column in others:
         if len(parts[-1]) > 1 and _sum_min_widths([*parts[-1], column]) > width >= 2 * first.width:
@@ -486,27 +572,33 @@ def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Te
     return [line for part in parts for line in (Text(""), *_render_columns(out, part, width))][1:]
 
 
-def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
+def _measure_column(table: Table, index: int, language: str, *, wraps: bool) -> _PrintedColumn:
     """Format a column of a table, and compute the widths [characters] with and without wrapping.
 
     Sentences are wrapped only if ``wraps`` is True.
     """
     column, cells = table.columns[index], [row[index] for row in table.rows]
     texts = [
-        _escape_line(cell.text if isinstance(cell, Number) else get_english(cell)) for cell in cells
+        _escape_line(cell.text) if isinstance(cell, Number) else _to_plain_text(cell, language)
+        for cell in cells
     ]
-    name = _escape_line(get_english(column.name))
+    name = _to_plain_text(column.name, language)
     unit = f"({_escape_line(column.unit)})" if column.unit not in ("", "1") else ""
-    heads = map(cell_len, (*name.split(), unit))
+    heads = map(cell_len, (*_split_words(name), unit))
     width = least = max(*heads, min(cell_len(name), _MIN_HEADER_WIDTH), *map(cell_len, texts), 0)
     written = zip(texts, cells, strict=True)
-    if wraps and any(" " in text for text, cell in written if not isinstance(cell, Name | Number)):
-        words = (cell_len(word) for text in texts for word in text.split())
+    if wraps and any(
+        len(_split_words(shown)) > 1
+        for shown, cell in written
+        if not isinstance(cell, Name | Number)
+    ):
+        words = (cell_len(word) for shown in texts for word in _split_words(shown))
         least = min(width, max(_MIN_SENTENCE_WIDTH, *words))
-    shown = [
-        Text(text, MARK_STYLES.get(cell.mark, "")) for text, cell in zip(texts, cells, strict=True)
+    styled: list[Text] = [
+        _WrappedText(shown, MARK_STYLES.get(cell.mark, ""))
+        for shown, cell in zip(texts, cells, strict=True)
     ]
-    return _PrintedColumn(f"{name}\n{unit}".strip(), shown, column.left, width, least)
+    return _PrintedColumn(f"{name}\n{unit}".strip(), styled, column.left, width, least)
 
 
 def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
@@ -514,7 +606,7 @@ def _sum_min_widths(columns: Sequence[_PrintedColumn]) -> int:
     return sum(column.least + COLUMN_GAP for column in columns) - COLUMN_GAP
 
 
-def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int) -> list[Text]:
+def _render_columns(out: SafeConsole, columns: Sequence[_PrintedColumn], width: int) -> list[Text]:
     """Render columns with rich, to about ``width`` characters, as far as they can be wrapped."""
     from rich.box import Box  # both are slow to import, and short answers contain no table
     from rich.table import Table as Grid
@@ -525,7 +617,9 @@ def _render_columns(out: Console, columns: Sequence[_PrintedColumn], width: int)
     for column in columns:
         fixed = column.width if column.least == column.width else None
         side: Literal["left", "right"] = "left" if column.left else "right"
-        grid.add_column(Text(column.head), justify=side, width=fixed, min_width=column.least)
+        grid.add_column(
+            _WrappedText(column.head), justify=side, width=fixed, min_width=column.least
+        )
     for row in zip(*(column.cells for column in columns), strict=True):
         grid.add_row(*row)
     options = out.options.update(width=max(width, _sum_min_widths(columns)))

@@ -26,6 +26,7 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_fields import make_options, make_task
 from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.present.document import text
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
@@ -137,11 +138,9 @@ def command(
     shared.write_page(report_path, [*analyses, table], robots)
     good = sum(analysis.verified for analysis in analyses)
     if len(analyses) > 1:
-        click.echo(f"{good} of {len(analyses)} verified", err=not shown)
+        shared.print_text(text("verified-count", good=good, count=len(analyses)), err=not shown)
     if shown and not everything:
-        click.echo(
-            "every table and note: -v; every number: --json FILE; a page to share: --report FILE"
-        )
+        shared.print_text(text("options-for-more"))
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
@@ -235,4 +234,4 @@ def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) 
         picture = render_variants(list(zip(robots, stands, strict=True)), folder / "variants.png")
     shared.confirm_written(f"{folder}/")
     if picture.note:
-        click.echo(f"note: {picture.note}", err=True)
+        shared.print_text(text("note-line", note=picture.note), err=True)

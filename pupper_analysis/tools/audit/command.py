@@ -145,7 +145,7 @@ def command(
             )
         ]
         left = audit_report.describe_counts(results[0].counts)
-        click.echo(text("repairs-written", count=count, left=left).en, err=True)
+        shared.print_text(text("repairs-written", count=count, left=left), err=True)
     least = Severity(fail_on).rank
     passed = all(finding.severity.rank > least for result in results for finding in result.findings)
     content = (
@@ -173,7 +173,8 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
         Number of repairs in the written files; 0 if nothing was written.
     """
     from pupper_analysis.base.patches import make_patch
-    from pupper_analysis.present.document import text
+    from pupper_analysis.base.runs import current_language
+    from pupper_analysis.present.document import text, translate
     from pupper_analysis.tools.audit.document import describe_repair
     from pupper_analysis.tools.audit.fix import (
         apply_repairs,
@@ -184,20 +185,19 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
 
     documents, count = apply_repairs(audits)
     for repair in list_estimates(audits):
-        click.echo(describe_repair(repair).en, err=True)
+        shared.print_text(describe_repair(repair), err=True)
     for repair in list_computed_repairs(audits):
-        click.echo(describe_repair(repair, is_stated=False).en, err=True)
+        shared.print_text(describe_repair(repair, is_stated=False), err=True)
     for document in documents:
         patch = make_patch(document.path, document.data, document.render())
         click.echo(patch, nl=False, err=not prints_patch)
     if not documents:
-        click.echo(str(text("no-unique-repair").en), err=True)
+        shared.print_text(text("no-unique-repair"), err=True)
         return 0
     may_ask = sys.stdin.isatty()
-    if not confirmed and not (
-        may_ask and click.confirm(text("write-repairs", count=count).en, err=True)
-    ):
-        click.echo(text("repairs-not-written", count=count).en, err=True)
+    question = translate(text("write-repairs", count=count), current_language())
+    if not confirmed and not (may_ask and click.confirm(question, err=True)):
+        shared.print_text(text("repairs-not-written", count=count), err=True)
         return 0
     write_documents(documents, force=force)
     return count

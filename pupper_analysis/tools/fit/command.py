@@ -36,7 +36,7 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.present.document import NextStep
+from pupper_analysis.present.document import NextStep, Words, diagnostic_text, text
 from pupper_analysis.tools.fit.kinds import TRACE_KIND
 
 if TYPE_CHECKING:
@@ -264,7 +264,7 @@ def command(
     if style == "text":
         print_robot_notes(robot, everything=everything)
     step = _select_next_step(result, output)
-    messages: list[str] = []
+    messages: list[Words] = []
     models: tuple[str, ...] = ()
     try:
         if output is not None and isinstance(result, Fit):
@@ -276,7 +276,7 @@ def command(
             [(robot.name, result)], style, robots=[robot], everything=everything, next_step=step
         )
         for message in messages:
-            click.echo(message, err=True)
+            shared.print_text(message, err=True)
         shared.write_page(report_path, result, [robot])
     if output is not None and (mode == "--plan" or models):
         shared.confirm_written(output)
@@ -643,7 +643,7 @@ def _write_models(
     folder: Path,
     *,
     anyway: bool,
-) -> tuple[list[str], tuple[str, ...]]:
+) -> tuple[list[Words], tuple[str, ...]]:
     """Write a fit of the selected robot to a folder; return notes, and the paths of the models.
 
     A fit that does not explain the measurements is written only if ``anyway`` is True, with
@@ -651,12 +651,13 @@ def _write_models(
     """
     from pupper_analysis.tools.fit.write import write_fit
 
-    posterior, messages = found.posterior, list[str]()
+    posterior, messages = found.posterior, list[Words]()
     if not found.explained and anyway:
         posterior = replace(posterior, covariance=found.noise_inflation**2 * posterior.covariance)
-        messages.append(f"note: {diagnose('fit-written-anyway', times=found.noise_inflation)}")
+        inflated = diagnose("fit-written-anyway", times=found.noise_inflation)
+        messages.append(text("note-line", note=diagnostic_text(inflated)))
     elif not found.explained:
-        return [str(diagnose("fit-not-written", folder=str(folder)))], ()
+        return [diagnostic_text(diagnose("fit-not-written", folder=str(folder)))], ()
     with TemporaryDirectory() as temporary:
         files = None
         if not isinstance(selection, RobotFiles):  # a variant may have no files of its own
@@ -667,7 +668,9 @@ def _write_models(
     first_notes = {note.code: note for note in reversed(written.diagnostics)}  # one of each kind
     for note in reversed(first_notes.values()):
         num_similar = sum(similar.code == note.code for similar in written.diagnostics) - 1
-        more = f" (and {num_similar} more of this kind)" if num_similar else ""
-        messages.append(f"note: {note}{more}")
+        words = diagnostic_text(note)
+        if num_similar:
+            words = text("and-more-of-this-kind", note=words, count=num_similar)
+        messages.append(text("note-line", note=words))
     models = (written.models.urdf, written.models.mjcf)
     return messages, tuple(str(folder / path) for path in models if path is not None)

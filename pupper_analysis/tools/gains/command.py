@@ -126,6 +126,7 @@ def _write_files(
     """
     from pupper_analysis.cli.robots import load_selected_robot
     from pupper_analysis.prepare.convert.files import RobotFiles
+    from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.tools.gains.write import write_gains
 
     selection = request.which.select_robot(words) or "v3"
@@ -142,4 +143,5 @@ def _write_files(
         write_gains(study, robot, folder, files=files)
     shared.confirm_written(folder)
     if request.payload:
-        click.echo(str(diagnose("gains-written-for-payload", mass=Quantity(request.payload, "kg"))))
+        message = diagnose("gains-written-for-payload", mass=Quantity(request.payload, "kg"))
+        shared.print_text(diagnostic_text(message))

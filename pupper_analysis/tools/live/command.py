@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
+from pupper_analysis.base.runs import current_language
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
@@ -25,6 +26,7 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_options, make_task, stance_option
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, PAYLOAD_OPTIONS
 from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.present.document import text
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
@@ -49,12 +51,11 @@ _OPTIONS_OF_MODE = {
         "policy",
         "contract",
         "command_text",
-        "language",
         "host",
         "port",
         "no_browser",
     },
-    "the page": {*_ROBOT_OPTIONS, "stance", "language", "host", "port", "no_browser"},
+    "the page": {*_ROBOT_OPTIONS, "stance", "host", "port", "no_browser"},
 }
 """{option that selects a mode of `live`, or "the page": names of the parameters that the mode
 uses}. Other options are refused in this mode.
@@ -68,13 +69,6 @@ uses}. Other options are refused in this mode.
     "--stance",
     type=click.Path(path_type=Path),
     help="TOML file of the page's initial stance, as saved by the page; e.g. stance.toml.",
-)
-@click.option(
-    "--language",
-    type=click.Choice(["en", "zh"]),
-    default="en",
-    show_default=True,
-    help="Language of the page: English (en) or Chinese (zh).",
 )
 @click.option(
     "--host",
@@ -115,7 +109,6 @@ def command(
     contract: Path | None,
     command_text: str,
     stance: Path | None,
-    language: str,
     host: str,
     port: int | None,
     no_browser: bool,
@@ -152,7 +145,7 @@ def command(
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _OPTIONS_OF_MODE)
     selection = which.select_robot(words) or "v3"
-    server_options: ServeOptions = {"language": language, "host": host, "port": port}
+    server_options: ServeOptions = {"language": current_language(), "host": host, "port": port}
     if policy is not None:
         _open_walk(
             selection, policy, contract, command_text, browser=not no_browser, **server_options
@@ -260,19 +253,11 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
     from pupper_analysis.tools.live.server import serve
 
     local = is_loopback(host)
-    reach = (
-        "only this machine can open the page; --host HOST admits others"
-        if local
-        else (f"every machine that reaches {host} can open the page with this address")
-    )
-    click.echo(f"SERVING {page.address} until Ctrl-C")
-    click.echo(f"  {reach}")
+    reach = text("page-for-this-machine") if local else text("page-for-machines", host=host)
+    shared.print_text(text("page-is-served", address=page.address))
+    shared.print_text(reach, indent=2)
     if not local:
-        click.echo(
-            "warning: everyone with this address, which contains the token, can use the page; the "
-            "connection is not encrypted",
-            err=True,
-        )
+        shared.print_text(text("page-is-not-encrypted"), err=True)
     restore_garbage_collection()
     serve(page, browser=browser, wait=threading.Event().wait)
 

@@ -30,9 +30,9 @@ from pupper_analysis.present.document import (
     Lines,
     Number,
     Table,
-    Text,
     Words,
     text,
+    translate,
 )
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.live.access import (
@@ -210,7 +210,7 @@ class Translator:
         Raises:
             KeyError: If the catalogue lacks the key, or non-empty ``values`` lack a placeholder.
         """
-        return self._select_language(text(key, **values))
+        return translate(text(key, **values), self.code)
 
     def format_diagnostic(self, message: Diagnostic) -> str:
         """Return a diagnostic in the language of the page, without folders (`strip_folders`)."""
@@ -218,13 +218,7 @@ class Translator:
 
     def translate(self, words: Words) -> str:
         """Return a text in the page's language, with folders removed (`strip_folders`)."""
-        return strip_folders(
-            self._select_language(words) if isinstance(words, Text) else words.text
-        )
-
-    def _select_language(self, words: Text) -> str:
-        """Return a text in the language of the page."""
-        return words.zh if self.code == "zh" else words.en
+        return strip_folders(translate(words, self.code))
 
 
 PANEL_STYLE = """<style>

@@ -32,7 +32,7 @@ from pupper_analysis.cli.stance_options import (
     parse_efforts,
     parse_motors,
 )
-from pupper_analysis.present.document import NextStep
+from pupper_analysis.present.document import NextStep, diagnostic_text
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
@@ -296,7 +296,8 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
     from pupper_analysis.tools.walk.template import write_template
 
     path, missing = write_template(policy, robot, deployment)
-    click.echo(str(diagnose("walk-template-written", file=str(path), missing=missing)))
+    message = diagnose("walk-template-written", file=str(path), missing=missing)
+    shared.print_text(diagnostic_text(message))
     print_next_step(NextStep("walk", omitted=("--init",)))
 
 
