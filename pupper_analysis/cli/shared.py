@@ -23,7 +23,7 @@ import click
 from click.core import ParameterSource
 
 from pupper_analysis.base import kinds
-from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, Phrase, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import (
     MODEL_FAULT_CODES,
@@ -1009,7 +1009,10 @@ def _find_assignment_form(option: str) -> str:
     form = "" if parameter is None else parameter.metavar or ""
     if parameter is not None and "=" in form:
         example = _ASSIGNMENT_EXAMPLE.search(parameter.help or "")
-        return form if example is None else f"{form}, e.g. {example[1].rstrip(',')}"
+        if example is None:
+            return form
+        shown = example[1].rstrip(",")
+        return Phrase(f"{form}, e.g. {shown}", f"{form}（例如 {shown}）")  # noqa: RUF001
     return "NAME=VALUE"
 
 
@@ -1165,6 +1168,7 @@ def _display_progress(what: str) -> Iterator[None]:
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.text import Text
 
+    language = current_language()  # rich renders the columns in another thread
     with observe_progress() as clock:
 
         class TimeColumn(ProgressColumn):
@@ -1172,7 +1176,7 @@ def _display_progress(what: str) -> Iterator[None]:
 
             def render(self, task: Task) -> Text:  # noqa: ARG002
                 """Return the text of the column, from `format_progress`."""
-                return Text(format_progress(clock))
+                return Text(format_progress(clock, language))
 
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeColumn()
         bar = Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=4)
@@ -1181,19 +1185,20 @@ def _display_progress(what: str) -> Iterator[None]:
             yield
 
 
-def format_progress(clock: ProgressClock) -> str:
+def format_progress(clock: ProgressClock, language: str = "en") -> str:
     """Format the progress of a computation, with the remaining or elapsed time [s].
 
     The text is empty before ``MIN_REPORTED_TIME``.
     """
-    from pupper_analysis.present.document import text
+    from pupper_analysis.present.document import text, translate
 
     if clock.elapsed < MIN_REPORTED_TIME:
         return ""
     if clock.remaining is None:
-        return text("progress-elapsed", elapsed=round(clock.elapsed)).en
+        return translate(text("progress-elapsed", elapsed=round(clock.elapsed)), language)
     left = max(1, math.ceil(clock.remaining))
-    return text("progress-left", done=clock.done, total=clock.total, left=left).en
+    parts = text("progress-left", done=clock.done, total=clock.total, left=left)
+    return translate(parts, language)
 
 
 def show_results(

@@ -284,7 +284,7 @@ def _count_more_messages(count: int, language: str) -> str:
     return translate(text("more-messages", count=count), language)
 
 
-_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。（]")  # noqa: RUF001
+_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。、（]")  # noqa: RUF001
 """Place at which a message may end: a comma, semicolon or colon before a space, or a bracket; or
 one of the Chinese punctuation marks."""
 
@@ -512,9 +512,9 @@ class _WrappedText(Text):
 COLUMN_GAP = 2
 """Space between the columns of a table [characters]. Chosen, not tuned."""
 
-_MIN_HEADER_WIDTH = 12
-"""Smallest width [characters] to which the header of a table's column is wrapped. Chosen, not
-tuned."""
+_MIN_HEADER_WIDTHS = {"en": 12, "zh": 16}
+"""{language: smallest width [characters] to which the header of a table's column is wrapped}.
+Chosen, not tuned."""
 
 _MIN_SENTENCE_WIDTH = 24
 """Smallest width [characters] to which a table's column of sentences is wrapped. Chosen, not
@@ -543,7 +543,7 @@ class _PrintedColumn(NamedTuple):
         left: True if the column is left-aligned.
         width: Width of the column [characters], the largest of four values: the longest cell, the
             longest word of the header, the unit with brackets, and the width of the header without
-            unit (at most `_MIN_HEADER_WIDTH`).
+            unit (at most `_MIN_HEADER_WIDTHS`).
         least: Smallest width to which the column may be wrapped [characters]; equal to ``width`` if
             the column is not wrapped.
     """
@@ -585,7 +585,9 @@ def _measure_column(table: Table, index: int, language: str, *, wraps: bool) -> 
     name = _to_plain_text(column.name, language)
     unit = f"({_escape_line(column.unit)})" if column.unit not in ("", "1") else ""
     heads = map(cell_len, (*_split_words(name), unit))
-    width = least = max(*heads, min(cell_len(name), _MIN_HEADER_WIDTH), *map(cell_len, texts), 0)
+    width = least = max(
+        *heads, min(cell_len(name), _MIN_HEADER_WIDTHS[language]), *map(cell_len, texts), 0
+    )
     written = zip(texts, cells, strict=True)
     if wraps and any(
         len(_split_words(shown)) > 1

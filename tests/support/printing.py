@@ -10,10 +10,16 @@ from pupper_analysis.present.documents.registry import make_document
 from pupper_analysis.present.terminal import SafeConsole, print_document, print_report
 
 
-def printed(shown: Result | Document | Report, *, width: int = 80, everything: bool = True) -> str:
+def printed(
+    shown: Result | Document | Report,
+    *,
+    width: int = 80,
+    everything: bool = True,
+    language: str = "en",
+) -> str:
     """Return what the terminal shows of a result, a document or a report."""
     file = io.StringIO()
-    out = SafeConsole(file=file, width=width, highlight=False, emoji=False)
+    out = SafeConsole(language=language, file=file, width=width, highlight=False, emoji=False)
     if isinstance(shown, Report):
         print_report(out, shown, everything=everything)
     else:

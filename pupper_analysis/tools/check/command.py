@@ -5,12 +5,16 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
+
+if TYPE_CHECKING:
+    from pupper_analysis.present.document import Text
 
 
 @shared.command("check")
@@ -150,6 +154,7 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.base.inputs import CONFIG_NAME, is_folder, path_exists
+    from pupper_analysis.present.document import join_words, text
     from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
     from pupper_analysis.tools.check.config import write_config
 
@@ -166,24 +171,26 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
             error.add_note(f"{GENERATOR_NAME} check {place}".rstrip())
         raise
     count = len(pairs) + len(singles)
-    paired = f"{len(pairs)} paired" if pairs else "no pair of a URDF and an MJCF"
-    click.echo(f"WRITTEN {path}: {count} {'model' if count == 1 else 'models'}, {paired}")
-    groups = {"paired": pairs, "without partner": singles}
-    groups = {label: names for label, names in groups.items() if names}
+    shared.print_text(text("config-written", path=str(path), count=count, pairs=len(pairs)))
+    groups = {"models-paired": pairs, "models-without-partner": singles}
+    groups = {key: names for key, names in groups.items() if names}
     width = (MAX_ANSWER_WIDTH - 2) // max(len(groups), 1) - 2
-    listed = [_shorten_list(label, names, width) for label, names in groups.items()]
-    click.echo(f"  {'; '.join(listed)}")
-    click.echo(f"  next: {GENERATOR_NAME} check {place}".rstrip())
+    listed = [_shorten_list(key, names, width) for key, names in groups.items()]
+    shared.print_text(join_words(listed, "semicolon"), indent=2)
+    line = f"{GENERATOR_NAME} check {place}".rstrip()
+    shared.print_text(text("next-command", command=line), indent=2)
 
 
-def _shorten_list(label: str, names: Sequence[str], width: int) -> str:
-    """Join names with commas after a label; the names beyond ``width`` characters are counted.
+def _shorten_list(key: str, names: Sequence[str], width: int) -> Text:
+    """Create the text ``key`` with a list of names; names beyond ``width`` characters are counted.
 
     The first name is always included.
     """
+    from pupper_analysis.present.document import Name, join_words, text
+
     for count in range(len(names), 0, -1):
-        more = f" and {len(names) - count} more" if count < len(names) else ""
-        line = f"{label}: {', '.join(names[:count])}{more}"
-        if len(line) <= width:
+        listed = join_words(map(Name, names[:count]))
+        line = text(key, names=listed, more=len(names) - count)
+        if len(line.en) <= width:
             break
     return line

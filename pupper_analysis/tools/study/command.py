@@ -202,9 +202,10 @@ def _run_study(
     show: Callable[[Progress], None],
 ) -> None:
     """Evaluate the study; after an interruption or error, print how to resume, and raise again."""
+    from pupper_analysis.present.document import text
+
     try:
         study.execute(folder, executor=executor, workers=workers, progress=show)
     except BaseException:
-        done = f"{folder} contains the finished designs: run the same command to continue"
-        click.echo(done, err=True)
+        shared.print_text(text("study-is-resumable", folder=str(folder)), err=True)
         raise
