@@ -533,7 +533,7 @@ def test_contact_of_an_unknown_part_or_a_foot_is_refused(armed: pa.Robot) -> Non
     with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
         pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
     with pytest.raises(
-        pa.UnknownNameError, match="no foot or frame 'LF'; the most similar names are: RL, FR, FL"
+        pa.UnknownNameError, match="no foot or frame 'LF'; the most similar names are: FR, FL, RL"
     ):
         pa.solve_stand(load("v3"), pa.StandTask(contacts={"LF": plane()}))
     calf = pa.StandTask(contacts={"FL_knee_body": plane()})

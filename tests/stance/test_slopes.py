@@ -221,8 +221,10 @@ def test_slope_angles_below_zero_or_above_180_degrees_are_refused(tilt: float) -
 
 
 def test_slope_of_an_unknown_foot_is_refused() -> None:
-    """The message names the known links."""
+    """The message names similar links; without a similar name, the feet first."""
     with pytest.raises(pa.UnknownNameError, match="leg_front_r_3"):
+        pa.solve_stand(load("v3"), pa.StandTask(contacts=slopes(0.1, {"leg_front_3": 0.0})))
+    with pytest.raises(pa.UnknownNameError, match="are: FR, FL, RR, RL"):
         pa.solve_stand(load("v3"), pa.StandTask(contacts=slopes(0.1, {"X": 0.0})))
 
 
