@@ -488,13 +488,37 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     gravity_notes = (note for note in loaded.notes if note.code in _GRAVITY_CODES)
+    friction = _describe_friction_of_added_ground(loaded)
     return (
         *loaded.compute_once(_list_impossible_bodies),
         *assumptions,
+        *(() if friction is None else (friction,)),
         *gravity_notes,
         *report_placeholder_efforts(robot),
         *describe_import_failure(robot),
     )
+
+
+_MIN_FRICTION = 1e-3
+"""Sliding friction coefficient [1] of a foot's geom below which the added ground provides all
+friction. The limit of the audit's rule ``foot-frictionless``."""
+
+
+def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
+    """Create the message that feet without friction stand by the friction of the added ground.
+
+    MuJoCo uses the larger coefficient of two geoms with equal priority.
+    """
+    if all(note.code != "ground-added" for note in robot.notes):
+        return None
+    frictions = robot.mj_model.geom_friction[:, 0]
+    feet = [foot for geom, foot in robot.foot_geoms.items() if frictions[geom] < _MIN_FRICTION]
+    slippery = {foot: robot.contacts[foot].sliding_friction for foot in feet}
+    borne = [foot for foot, friction in slippery.items() if friction >= _MIN_FRICTION]
+    if not borne:
+        return None
+    friction = max(slippery[foot] for foot in borne)
+    return diagnose("friction-of-added-ground", feet=borne, friction=friction)
 
 
 _GRAVITY_CODES = ("gravity-not-the-earths", "weight-is-compensated")

@@ -190,6 +190,22 @@ def test_verdict_states_the_weight_that_gravcomp_bears(
         assert values["total"].value == pytest.approx(model.body_mass.sum())  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize(("friction", "named"), [("0", True), ("0.6", False)])
+def test_verdict_states_that_only_the_added_ground_has_friction(
+    tmp_path: Path, friction: str, named: bool
+) -> None:
+    """Reference: MuJoCo's default coefficient of a geom, 1, with which no foot of 0 slides."""
+    pair = quadruped(tmp_path)
+    edited_by(pair.mjcf, lambda text: text.replace("<geom ", f'<geom friction="{friction}" '))
+    robot = pa.load_robot(*pair)
+    found = [note for note in list_file_remarks(robot) if note.code == "friction-of-added-ground"]
+    assert bool(found) is named
+    if named:
+        assert found[0].values["friction"] == 1.0
+        assert len(found[0].values["feet"]) == 4  # type: ignore[arg-type]
+    assert {contact.sliding_friction for contact in robot.contacts.values()} == {1.0}
+
+
 @pytest.mark.slow
 def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.write_files(tmp_path, features.FEATURES["frictionloss -1"])
