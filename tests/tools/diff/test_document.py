@@ -165,7 +165,7 @@ def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
 
 
 def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> None:
-    """`stand` may find no feet without meshes; `audit` names the files, and proposes `hold`."""
+    """`stand` may find no feet without meshes; `audit` names the files and their package."""
     heavy = pendulum(mass=3.0)
     texts = [urdf_text(pendulum(), []), urdf_text(heavy, [])]
     shape = '<visual><geometry><mesh filename="package://lost/base.stl"/></geometry></visual>'
@@ -179,4 +179,4 @@ def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> N
     path.write_text(lost[1])
     step = audit_document(replace(audit_model(path), floating=True, passed=True)).next_step
     assert step is not None
-    assert step.command == "hold"
+    assert (step.command, step.words) == ("audit", ("--package", "lost=DIR"))

@@ -230,6 +230,7 @@ def test_result_and_page_are_made_if_models_cannot_be_written(
 NOT_TYPED = {field.name for field in fields(RobotOptions)} | {
     *("stands", "logs", "count", "record", "listen"),  # the modes
     *("anyway", "output", "force"),  # which need a result of the fit, or an existing file
+    "language",  # of the printed answer
 }
 
 

@@ -478,7 +478,7 @@ def test_base_that_cannot_be_welded_names_the_command_that_needs_no_weld(
     words = ("--motor", "mit-mini-cheetah", *typed.split())
     status, _, err = run_command(capfd, "heat", str(path), *words)
     assert status == 2
-    assert "the base of arm (base) has no mass" in err
+    assert "the base of arm.urdf (base) has no mass" in err
     assert err.splitlines()[-1] == f"  next: pupper-analysis hold {path}"
 
 
