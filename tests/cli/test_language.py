@@ -26,8 +26,8 @@ from tests.support.every_command import share_robots
 from tests.support.printing import printed
 from tests.support.shared_rollouts import share_rollouts
 
-ENGLISH_SENTENCE = re.compile(r"(?<![\w./=\"'-])[a-z]+(?:,? [a-z]+){2,}(?![\w./=-])")
-"""Three or more words of lower-case letters in a row, which no name and no path has."""
+ENGLISH_SENTENCE = re.compile(r"(?<![\w./=\"'-])[a-z]{2,}(?:,? [a-z]{2,}){2,}(?![\w./=-])")
+"""Three or more words of at least two lower-case letters, which no name and no path contains."""
 
 NUMBER = re.compile(r"(?<![A-Za-z_\d.])[-+±]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 """Number that is no part of a name, such as the 3 of ``leg_back_r_3``."""

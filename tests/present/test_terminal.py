@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from rich.cells import cell_len
 
 from pupper_analysis.present.document import (
     Column,
@@ -85,6 +86,32 @@ def test_lines_are_wrapped_only_on_a_terminal() -> None:
     assert all(len(line) <= 80 for line in lines)
     assert all(line.startswith("  ") for line in lines[1:])
     assert " ".join(lines).count("word") == 40
+
+
+def test_chinese_lines_and_tables_are_wrapped_between_characters() -> None:
+    """Chinese characters are two cells wide. Names and numbers stay whole, marks end a row."""
+    sentence = Text("", "关节 leg_front_r_1 的力矩为 0.47 N m，超过上限（见 pupper_v3.urdf）。" * 4)
+    grid = Table(
+        Name("table"),
+        (Column(Text("joint", "关节"), left=True), Column(Text("cause", "原因"), left=True)),
+        ((Name("leg_front_r_1"), sentence),),
+    )
+    document = Document(Name(""), Name("robot"), (grid,), notes=(sentence,))
+    file = io.StringIO()
+    out = SafeConsole(
+        language="zh", file=file, width=80, force_terminal=True, color_system=None,
+        legacy_windows=False,
+    )  # fmt: skip
+    print_document(out, document, everything=True)
+    lines = re.sub("\x1b\\[[0-9;]*m", "", file.getvalue()).splitlines()
+    assert max(map(cell_len, lines)) <= 80
+    assert sum(cell_len(line) > 70 for line in lines) >= 6  # rows are filled
+    assert not any(line.lstrip().startswith(("，", "。", "）")) for line in lines)  # noqa: RUF001
+    whole = [line.replace("leg_front_r_1", "") for line in lines]
+    assert sum(line.count("leg_front_r_1") for line in lines) == 1 + 2 * 4
+    assert not any("leg_" in line for line in whole)
+    assert sum(line.count("pupper_v3.urdf") for line in lines) == 2 * 4
+    assert any(line.startswith("说明：") for line in lines)  # noqa: RUF001
 
 
 def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() -> None:
