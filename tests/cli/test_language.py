@@ -78,8 +78,8 @@ def test_stand_prints_the_numbers_of_the_english_answer_in_chinese() -> None:
     for lines in zip(*sentences, strict=True):
         first, second = ([match[0] for match in QUANTITY.finditer(line)] for line in lines)
         assert sorted(first) == sorted(second), lines
-    first, second = (Counter(NUMBER.findall(text)) for text in texts)
-    assert first == second
+    counts = [Counter(NUMBER.findall(text)) for text in texts]
+    assert counts[0] == counts[1]
 
 
 def test_short_answer_is_cut_at_the_end_of_a_chinese_clause() -> None:

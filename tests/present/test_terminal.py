@@ -106,12 +106,12 @@ def test_chinese_lines_and_tables_are_wrapped_between_characters() -> None:
     lines = re.sub("\x1b\\[[0-9;]*m", "", file.getvalue()).splitlines()
     assert max(map(cell_len, lines)) <= 80
     assert sum(cell_len(line) > 70 for line in lines) >= 6  # rows are filled
-    assert not any(line.lstrip().startswith(("，", "。", "）")) for line in lines)  # noqa: RUF001
+    assert not any(line.lstrip().startswith(("，", "。", "）")) for line in lines)
     whole = [line.replace("leg_front_r_1", "") for line in lines]
     assert sum(line.count("leg_front_r_1") for line in lines) == 1 + 2 * 4
     assert not any("leg_" in line for line in whole)
     assert sum(line.count("pupper_v3.urdf") for line in lines) == 2 * 4
-    assert any(line.startswith("说明：") for line in lines)  # noqa: RUF001
+    assert any(line.startswith("说明：") for line in lines)
 
 
 def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() -> None:
