@@ -255,7 +255,7 @@ def test_command_output_equals_the_row_of_the_table(
     if row["code in JSON"]:
         result = json.loads(output.read_text())
         answer = result.get("payload", result) if command == "hold" else result
-        answer = answer.get("quad", answer) if command == "push" else answer
+        answer = answer.get(row["file"], answer) if command == "push" else answer
         assert answer["code"] == row["code in JSON"]
         number = {"hold": "mass", "payload": "mass", "push": "impulse"}[command]
         assert (answer[number] is None) is (row["code in JSON"] == "unknown")
