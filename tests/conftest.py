@@ -41,6 +41,8 @@ hypothesis.settings.load_profile("suite")
 providers._get_local_constants = lambda: providers._local_constants
 
 
+os.environ.pop("PUPPER_ANALYSIS_LANGUAGE", None)  # tests expect English answers
+
 NO_SKIPS = os.environ.get("CI") == "true" and sys.platform == "linux"
 """Whether a skipped test counts as failed: CI on Linux has everything that the tests need."""
 
