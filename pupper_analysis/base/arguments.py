@@ -278,9 +278,10 @@ def suggest_millimetres(*lengths: float) -> str | None:
         lengths: Length, or coordinates of a point [m].
 
     Returns:
-        The text; None if mm were probably not meant (`lacks_unit`).
+        The text; None if mm were probably not meant (`lacks_unit`), or on the command line, which
+        requires a unit of such lengths.
     """
-    if not any(lacks_unit("length", length) for length in lengths):
+    if is_command_line() or not any(lacks_unit("length", length) for length in lengths):
         return None
     text = ", ".join(f"{length / 1000:g}" for length in lengths)
     return text if len(lengths) == 1 else f"({text})"

@@ -368,3 +368,15 @@ def test_refusal_of_a_mistake_is_followed_by_the_corrected_command(
     assert result.returncode == 2
     assert len(fault) <= MAX_ANSWER_WIDTH
     assert steps == ([f"  next: pupper-analysis {corrected}"] if corrected else [])
+
+
+@pytest.mark.parametrize(
+    ("typed", "refusal"),
+    [(("--height", "6m"), "stance out of reach"), (("--com", "20m,0"), "outside the support")],
+)
+def test_typed_unit_of_a_length_is_not_questioned(typed: tuple[str, str], refusal: str) -> None:
+    """The Python API suggests metres for the same numbers, which have no unit there."""
+    refused = answer("stand", "v3", *typed)
+    assert refused.returncode == 2
+    assert refusal in refused.stderr
+    assert "millimetres" not in refused.stderr
