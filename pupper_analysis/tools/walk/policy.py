@@ -44,7 +44,7 @@ from pupper_analysis.tools.contract.readers import (
     read_onnx,
     tables,
 )
-from pupper_analysis.tools.contract.readers.onnx import ProtobufMessage
+from pupper_analysis.tools.contract.readers.onnx import ProtobufMessage, list_action_outputs
 from pupper_analysis.tools.walk.contract import (
     PolicyContract,
     Statements,
@@ -373,23 +373,15 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
         return replace(network, files=weight_files.files)
 
 
-_ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
-"""Names of the action output in networks of rl_games, skrl and other trainers. The names select the
-action if a network without states has several outputs, such as standard deviation and value.
-"""
-
-
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
     """Build the network of an ONNX graph: observation and states to action and states."""
     graph = file.graph
     constants = dict(_read_tensor(path, message, weight_files) for message in graph.get(5, ()))
-    inputs, outputs = list(file.inputs.items()), list(file.outputs)
+    inputs, outputs = list(file.inputs.items()), list_action_outputs(file)
     nodes = [
         _build_node(path, gather_fields(message), number, constants, weight_files)
         for number, message in enumerate(graph[1], 1)
     ]
-    if len(inputs) == 1 and len(outputs) > 1:  # rl_games: mean, deviation and value
-        outputs = [name for name in outputs if name in _ACTION_NAMES] or outputs
     if len(inputs) != len(outputs):
         problem = diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
         raise ModelError(path, problem)

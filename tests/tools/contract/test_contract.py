@@ -88,6 +88,31 @@ def test_network_of_another_size_than_joints_or_observations_is_reported(
 
 
 @pytest.mark.parametrize(
+    ("inputs", "outputs", "actions"),
+    [
+        (27, {"sigma": 1, "value": 1, "mu": 12}, [12.0]),  # rl_games
+        (27, {"sigma": 1, "value": 1, "mu": 10}, [10.0]),
+        (0, {"actions": 0}, []),
+    ],
+)
+def test_action_of_several_outputs_is_counted_and_a_symbolic_size_is_unknown(
+    tmp_path: Path, inputs: int, outputs: dict[str, int], actions: list[float]
+) -> None:
+    """Reference: 12 joints, and the size of ``mu``, the mean of the actions."""
+    path = tmp_path / "policy.onnx"
+    graph = field(11, value("obs", 0, inputs))
+    graph += b"".join(field(12, value(name, 0, size)) for name, size in outputs.items())
+    path.write_bytes(field(7, graph) + onnx(**ONNX))
+    read = contract(path)
+    assert [fact.value for fact in read.facts if fact.quantity == "actions"] == actions
+    assert [fact.value for fact in read.facts if fact.quantity == "observed numbers"] == (
+        [float(inputs)] if inputs else []
+    )
+    found = [one.kind for one in read.findings if one.kind != "kd"]
+    assert found == (["actions"] if actions == [10.0] else [])
+
+
+@pytest.mark.parametrize(
     ("angles", "kinds"),
     [([ANGLES[3 * leg + part] for part in range(3) for leg in range(4)], {"_1"}),
      (ANGLES, {"_1", "_2", "_3"})],

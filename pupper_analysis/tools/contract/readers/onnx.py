@@ -45,8 +45,8 @@ class OnnxFile:
     Attributes:
         metadata: {key: text} of the exporter.
         graph: Message ``GraphProto``; empty if the file has none.
-        inputs: {input: sizes, 1 for a symbolic size}, without constants.
-        outputs: {output: sizes, 1 for a symbolic size}.
+        inputs: {input: sizes, 0 for a symbolic size}, without constants.
+        outputs: {output: sizes, 0 for a symbolic size}.
     """
 
     metadata: dict[str, str]
@@ -81,11 +81,25 @@ def read_onnx(path: Path) -> OnnxFile:
     return OnnxFile(metadata, graph, inputs, shapes[1])
 
 
+_ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
+"""Names of the action output in networks of rl_games, skrl and other trainers. The names select the
+action if a network without states has several outputs, such as standard deviation and value.
+"""
+
+
+def list_action_outputs(file: OnnxFile) -> list[str]:
+    """Return the outputs of a network; only the action if a network without states has several."""
+    outputs = list(file.outputs)
+    if len(file.inputs) == 1 and len(outputs) > 1:  # rl_games: mean, deviation and value
+        outputs = [name for name in outputs if name in _ACTION_NAMES] or outputs
+    return outputs
+
+
 def read(request: Request) -> Iterator[JointSource]:
     """Yield a source with the joint values (such as gains) and tensor sizes of an ONNX policy.
 
     Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
-    and of the first output.
+    and of the action (`list_action_outputs`), unless symbolic.
 
     Raises:
         ModelError: If the file cannot be read, or is not an ONNX file, for example.
@@ -95,12 +109,13 @@ def read(request: Request) -> Iterator[JointSource]:
         key: _split_list(text, Place(request.path, element=key))
         for key, text in file.metadata.items()
     }
-    ends = {"actions": file.outputs, "observed numbers": file.inputs}
+    actions = {name: file.outputs[name] for name in list_action_outputs(file)}
+    ends = {"actions": actions, "observed numbers": file.inputs}
     sizes = [
         Statement(what, float(size[-1]), Place(request.path, element=name))
         for what, end in ends.items()
         for name, size in list(end.items())[:1]
-        if size
+        if size and size[-1] > 0
     ]
     whole = LocatedValue(table, Place(request.path))
     yield from read_table(request, request.path.name, whole, Role.POLICY, sizes)
@@ -182,11 +197,11 @@ def decode_integers(values: Sequence[int | memoryview]) -> list[int]:
 
 
 def _read_tensor_shape(data: int | memoryview) -> tuple[str, list[int]]:
-    """Return the name and the sizes of a tensor; 1 for a symbolic size."""
+    """Return the name and the sizes of a tensor; 0 for a symbolic size."""
     value = gather_fields(data)
     kind = gather_fields(gather_fields(value[2][0])[1][0])
     shape = gather_fields(kind[2][0]) if 2 in kind else {}
-    dims = [decode_integers(gather_fields(dim).get(1, [1]))[0] for dim in shape.get(1, ())]
+    dims = [decode_integers(gather_fields(dim).get(1, [0]))[0] for dim in shape.get(1, ())]
     return get_text(value, 1), dims
 
 
