@@ -1008,6 +1008,9 @@ def _compile_file(
 _NAN_PATTERN: Final = re.compile(r"[+-]?nan(\(\w*\))?", re.IGNORECASE)
 """Pattern of a NaN in an MJCF."""
 
+_NON_NUMERIC_ATTRIBUTES: Final = ("name", "model", "file")
+"""Attributes without numbers, in which `_find_nan` ignores the word "nan", as in ``<text>``."""
+
 
 def _find_nan(tree: IncludeTree) -> tuple[Diagnostic, Place] | None:
     """Return the message on the first attribute that contains NaN, and its place; None without NaN.
@@ -1027,7 +1030,9 @@ def _find_nan(tree: IncludeTree) -> tuple[Diagnostic, Place] | None:
             subject = node.tag, name
         for attribute, value in node.attributes.items():
             words = value.split()
-            if found is None and attribute != "name" and any(map(_NAN_PATTERN.fullmatch, words)):
+            if found is not None or attribute in _NON_NUMERIC_ATTRIBUTES or node.tag == "text":
+                continue
+            if any(map(_NAN_PATTERN.fullmatch, words)):
                 problem = diagnose(
                     "number-not-finite",
                     subject=subject,

@@ -5,6 +5,7 @@ name.
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -128,6 +129,18 @@ def test_nan_that_mujoco_reads_as_unspecified_is_refused_with_its_line(
     assert message in str(refusal.value)
     line = text[: text.index(new)].count("\n") + 1
     assert f"robot.xml:{line}: " in str(refusal.value)
+
+
+def test_word_nan_in_a_text_is_no_number(tmp_path: Path) -> None:
+    """MuJoCo compiles the file."""
+    note = '<custom><text name="note" data="no value is nan"/></custom>'
+    text = mjcf_text(quadruped()).replace(WORLD, f"{note}{WORLD}", 1)
+    text = re.sub('<mujoco( model="[^"]*")?', '<mujoco model="robot nan"', text, count=1)
+    with silence_mujoco():
+        mujoco.MjModel.from_xml_string(text)
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    assert read_mjcf(path).model.nbody > 1
 
 
 @pytest.mark.slow
