@@ -966,6 +966,9 @@ def rename_robot(robot: Robot, name: str) -> Robot:
     """
     renamed = object.__new__(Robot)
     kept = {key: value for key, value in vars(robot).items() if key not in _CACHED_ATTRIBUTES}
+    posed = kept.get(_BEFORE_SERVOS)
+    if isinstance(posed, Robot):
+        kept[_BEFORE_SERVOS] = rename_robot(posed, name)
     vars(renamed).update({**kept, "name": name})
     return renamed
 

@@ -21,6 +21,7 @@ from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.prepare.passes import LoadRequest, prepare_robot
+from pupper_analysis.robot.robot import rename_robot
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped
 
@@ -235,6 +236,22 @@ def test_stands_and_statics_do_not_wait_for_servos(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("used", [False, True])
+def test_renamed_robot_has_its_name_before_and_after_the_servos(
+    tmp_path: Path, runs: list[str], used: bool
+) -> None:
+    """The new name also replaces that of the robot without servos, if this robot was used."""
+    robot = pa.load_robot(quadruped(tmp_path).urdf)
+    if used:
+        assert robot.before_servos.name == robot.name
+    renamed = rename_robot(robot, "typed.urdf")
+    assert renamed.before_servos.name == "typed.urdf"
+    assert runs == []
+    renamed.complete_stages()
+    assert renamed.name == renamed.before_servos.name == "typed.urdf"
+    assert robot.name == robot.before_servos.name != "typed.urdf"
+
+
 def test_changes_of_pinocchio_model_enter_stands_before_servos(tmp_path: Path) -> None:
     """Reference: twice the gravity of all links needs twice the torque."""
     pair = quadruped(tmp_path)
