@@ -28,7 +28,7 @@ def test_uv_gets_the_indexes_links_and_constraints_of_pip(tmp_path: Path) -> Non
     config = tmp_path / "pip.conf"
     config.write_text(
         "[global]\nextra-index-url = https://a.example/simple\n    file:///b/simple\n"
-        "find-links = /from-file\n[install]\nconstraint = /c.txt\n"
+        "find-links = /from-file\n[install]\nconstraint = /c.txt\nno-index = false\n"
     )
     done = run_uv_settings(config, PIP_FIND_LINKS="/e /f")
     assert done.returncode == 0, done.stderr
