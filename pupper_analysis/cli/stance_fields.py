@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Phrase, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.base.inputs import read_text, read_toml
 from pupper_analysis.base.units import UNIT_FACTORS
@@ -204,10 +204,11 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     if surface == "weld" and numbers == [""]:
         numbers, valid_words = [], ("place", "offset")
     elif sizes.get(kind) != len(numbers) or not first:
-        form = (
+        forms = (
             "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, bar:X,Y,Z,DX,DY,DZ,R,"
-            " weld; for example wall:0.4m"
+            " weld"
         )
+        form = Phrase(f"{forms}; for example wall:0.4m", f"{forms}（例如 wall:0.4m）")  # noqa: RUF001
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
     unit = "length"
     if kind == "slope":

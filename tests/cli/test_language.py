@@ -139,6 +139,8 @@ def test_json_and_markdown_do_not_depend_on_the_language() -> None:
         (("stand", "v3", "--kp", "leg_frnt_r_1=5"), "leg_frnt_r_1", "--kp leg_front_r_1=5"),
         (("stand", "absent.urdf"), "没有这个文件", ""),
         (("crosscheck", "v3", "--map", "a"), "的格式不是 URDF=MJCF（例如 lf_haa=FL_hip）", ""),
+        (("stand", "v3", "--contact", "FR=wall"), "（例如 wall:0.4m）", ""),
+        (("live", "v3", "--drop", "--no-browser"), "只用于 --policy、网页；", ""),
     ],
 )
 def test_refusals_are_chinese(words: tuple[str, ...], refusal: str, proposal: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
+from pupper_analysis.base.diagnostics import Phrase
 from pupper_analysis.base.runs import current_language
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
@@ -43,6 +44,9 @@ which postpone collections, because the page runs for hours."""
 _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 """Names of the command's parameters that all modes accept: files and options of the robot."""
 
+_PAGE = Phrase("the page", "网页")
+"""Mode of `live` that no option selects."""
+
 _OPTIONS_OF_MODE = {
     "--mujoco": {*_ROBOT_OPTIONS, "viewer", "headless", "fixed_base"},
     "--drop": {*_ROBOT_OPTIONS, "dropped", "headless"},
@@ -55,9 +59,9 @@ _OPTIONS_OF_MODE = {
         "port",
         "no_browser",
     },
-    "the page": {*_ROBOT_OPTIONS, "stance", "host", "port", "no_browser"},
+    _PAGE: {*_ROBOT_OPTIONS, "stance", "host", "port", "no_browser"},
 }
-"""{option that selects a mode of `live`, or "the page": names of the parameters that the mode
+"""{option that selects a mode of `live`, or `_PAGE`: names of the parameters that the mode
 uses}. Other options are refused in this mode.
 """
 
@@ -142,7 +146,7 @@ def command(
     input.
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
-    mode = next((name for name, chosen in modes.items() if chosen), "the page")
+    mode = next((name for name, chosen in modes.items() if chosen), _PAGE)
     refuse_unused(mode, _OPTIONS_OF_MODE)
     selection = which.select_robot(words) or "v3"
     server_options: ServeOptions = {"language": current_language(), "host": host, "port": port}
@@ -151,7 +155,7 @@ def command(
             selection, policy, contract, command_text, browser=not no_browser, **server_options
         )
         return
-    if mode != "the page":
+    if mode != _PAGE:
         from pupper_analysis.tools.live import window
 
         robot = load_selected_robot(selection, fixed_base=fixed_base)
