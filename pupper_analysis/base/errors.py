@@ -189,7 +189,8 @@ class UnknownNameError(ModelError):
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
         name: Unknown name; the given value, if the value is no text.
         known: Valid names.
-        correction: Most similar valid name; empty if no name is similar enough to be meant.
+        correction: Valid name that was probably meant: the base link or the first name in
+            ``first``, else the most similar name; empty if no name is similar enough.
     """
 
     def __init__(
