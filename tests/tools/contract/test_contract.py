@@ -113,6 +113,26 @@ def test_action_of_several_outputs_is_counted_and_a_symbolic_size_is_unknown(
 
 
 @pytest.mark.parametrize(
+    ("inputs", "outputs", "observed"),
+    [
+        ({"obs": 30, "h_in": 64}, {"actions": 12, "h_out": 64}, [30.0]),  # with a state
+        ({"proprioception": 30, "scan": 17}, {"actions": 12}, []),
+    ],
+)
+def test_observed_numbers_of_several_inputs_are_counted_only_beside_states(
+    tmp_path: Path, inputs: dict[str, int], outputs: dict[str, int], observed: list[float]
+) -> None:
+    """The first of several inputs without states is a part of the observation."""
+    path = tmp_path / "policy.onnx"
+    graph = b"".join(field(11, value(name, 0, size)) for name, size in inputs.items())
+    graph += b"".join(field(12, value(name, 0, size)) for name, size in outputs.items())
+    path.write_bytes(field(7, graph) + onnx(**ONNX))
+    facts = contract(path).facts
+    assert [fact.value for fact in facts if fact.quantity == "observed numbers"] == observed
+    assert [fact.value for fact in facts if fact.quantity == "actions"] == [12.0]
+
+
+@pytest.mark.parametrize(
     ("angles", "kinds"),
     [([ANGLES[3 * leg + part] for part in range(3) for leg in range(4)], {"_1"}),
      (ANGLES, {"_1", "_2", "_3"})],

@@ -99,7 +99,8 @@ def read(request: Request) -> Iterator[JointSource]:
     """Yield a source with the joint values (such as gains) and tensor sizes of an ONNX policy.
 
     Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
-    and of the action (`list_action_outputs`), unless symbolic.
+    and of the action (`list_action_outputs`), unless symbolic. Further inputs must be recurrent
+    states, each with an output; of a network with other inputs, the number of inputs is unknown.
 
     Raises:
         ModelError: If the file cannot be read, or is not an ONNX file, for example.
@@ -110,7 +111,8 @@ def read(request: Request) -> Iterator[JointSource]:
         for key, text in file.metadata.items()
     }
     actions = {name: file.outputs[name] for name in list_action_outputs(file)}
-    ends = {"actions": actions, "observed numbers": file.inputs}
+    is_paired = len(file.inputs) in (1, len(actions))
+    ends = {"actions": actions, "observed numbers": file.inputs if is_paired else {}}
     sizes = [
         Statement(what, float(size[-1]), Place(request.path, element=name))
         for what, end in ends.items()
