@@ -78,7 +78,7 @@ def test_moving_ball_joint_is_named_as_the_cause(tmp_path: Path) -> None:
     done = answer("hold", str(path), folder=tmp_path)
     assert done.returncode == 1
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("DISAGREES arm: torques of the unmodified file are ")
+    assert lines[0].startswith("DISAGREES arm.xml: torques of the unmodified file are ")
     assert "ball joints move, but the prediction holds them at rest" in lines[1]
     assert "wrist (line" in lines[1]
     assert "ball joints are held at rest" in done.stdout + done.stderr
