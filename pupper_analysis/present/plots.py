@@ -71,7 +71,8 @@ class Canvas:
         """Return the figure, or a new figure of ``pyplot`` with `SCREEN_DPI` pixels per inch.
 
         ``options`` are arguments of ``pyplot.figure``; ``dpi`` is replaced. An existing figure
-        keeps its size. It gets the layout of ``options`` if it has none.
+        keeps its size. It gets the layout of ``options`` if it has none. If ``options`` has no
+        layout, the plot places its panels itself, and the layout of the figure is removed.
 
         Raises:
             ConfigurationError: If the canvas consists of axes: the plot has several panels.
@@ -83,7 +84,9 @@ class Canvas:
 
             return plt.figure(**{**options, "dpi": SCREEN_DPI})
         set_layout = getattr(self.figure, "set_layout_engine", None)  # a subfigure has no layout
-        if set_layout is not None and self.figure.get_layout_engine() is None:
+        if set_layout is not None and options["layout"] is None:
+            set_layout("none")
+        elif set_layout is not None and self.figure.get_layout_engine() is None:
             set_layout(options["layout"])
         return self.figure
 

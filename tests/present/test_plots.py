@@ -345,6 +345,16 @@ def test_plot_in_a_given_figure_keeps_its_size() -> None:
     assert figure.get_layout_engine() is not None
 
 
+@pytest.mark.parametrize("layout", ["tight", "constrained", None])
+def test_panels_of_a_stand_are_drawn_without_a_warning_of_the_layout(layout: str | None) -> None:
+    """Pytest turns warnings of Matplotlib into errors."""
+    figure = plt.figure(figsize=(8, 5), layout=layout)
+    panels = stand_of("v3").plot(load("v3"), figure=figure)
+    places = [panel.get_position().bounds for panel in panels]
+    figure.canvas.draw()
+    assert [panel.get_position().bounds for panel in panels] == places
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
