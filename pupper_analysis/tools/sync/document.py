@@ -61,7 +61,12 @@ def sync_document(
         messages = [edit_count]
         if sync.not_mended:
             left = list(sync.not_mended)
-            kept = text("unwritten-differences", name=left[0].difference, others=len(left) - 1)
+            kept = text(
+                "unwritten-differences",
+                name=left[0].difference,
+                distance=None,
+                others=len(left) - 1,
+            )
             messages.append(text("differences-left-count", count=len(left), kept=kept))
         if dry_run:
             messages.append(text("dry-run-writes-nothing"))
