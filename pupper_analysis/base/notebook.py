@@ -105,8 +105,7 @@ def describe_dataclass(value: object, unit: str = "") -> str | None:
         text = _describe_simple(getattr(value, name))
         if text is None:
             return None
-        own = units.get(name, "")
-        items.append(_join_unit(name, text, unit if unit and own == POSITION_UNIT else own))
+        items.append(_join_unit(name, text, units.get(name, ""), unit))
     text = ", ".join(items)
     return text if len(text) <= MAX_TEXT_LENGTH else None
 
@@ -126,14 +125,18 @@ def _summarise_dataclass(value: object, unit: str) -> str:
         text = _describe_simple(getattr(value, name))
         if text is None or getattr(value, name) is None:
             continue
-        items.append(_join_unit(name, text, units.get(name, "")))
+        items.append(_join_unit(name, text, units.get(name, ""), unit))
         if len(", ".join(items)) > MAX_TEXT_LENGTH:
             return ", ".join([*items[:-1], "..."])
     return ", ".join([*items, "..."])
 
 
-def _join_unit(name: str, text: str, unit: object) -> str:
-    """Return ``name text unit``; without the unit if it is 1, or if there is no value."""
+def _join_unit(name: str, text: str, unit: object, position_unit: str) -> str:
+    """Return ``name text unit``; without the unit if it is 1, or if there is no value.
+
+    ``position_unit`` replaces the unit of a position; "" if unknown.
+    """
+    unit = position_unit if position_unit and unit == POSITION_UNIT else unit
     has_unit = isinstance(unit, str) and unit not in ("", "1") and text != "none"
     return f"{name} {text} {unit}" if has_unit else f"{name} {text}"
 
@@ -238,7 +241,7 @@ def format_value(value: object, unit: str | Mapping[str, str] = "") -> str:
 def _format_entry(name: object, item: object, unit: str | Mapping[str, str]) -> str:
     """Return the HTML of an entry of a mapping, with the unit of this entry if there is one.
 
-    Entries may have different units, so that each entry is its own reference for rounding errors.
+    Rounding errors are found in each entry alone, because entries may have different units.
     """
     own = unit if isinstance(unit, str) else unit.get(str(name), "")
     (kept,) = _zero_rounding_errors_of_items([item])

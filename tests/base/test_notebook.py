@@ -13,6 +13,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.notebook import format_value
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.statics.equilibrium import FootLoad
 from tests.support.variants import load, stand_of
 
@@ -113,6 +114,20 @@ def test_the_table_of_the_best_stance_labels_angles_lengths_and_the_objective() 
     frame = best.to_dataframe()
     assert dict(zip(frame.coordinate, frame.unit, strict=True))["yaw"] == "rad"
     np.testing.assert_array_equal(frame.value, [*best.coordinates.values()])
+
+
+def test_positions_of_long_objects_have_the_unit_of_their_container() -> None:
+    @dataclass(frozen=True, eq=False)
+    class Long(Result):
+        """Result with a field without a short text."""
+
+        position: float = field(metadata={"unit": POSITION_UNIT})
+        forces: np.ndarray = field(metadata={"unit": "N"})
+
+    item = Long(0.5, np.ones((9, 9)))
+
+    assert format_value((item,), "m") == "position 0.5 m, ..."
+    assert format_value((item,)) == f"position 0.5 {POSITION_UNIT}, ..."
 
 
 def test_long_arrays_and_mappings_are_summarised() -> None:
