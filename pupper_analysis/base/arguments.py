@@ -270,9 +270,9 @@ def suggest_degrees(angle: float, low: float, high: float) -> str | None:
 
 
 def suggest_millimetres(*lengths: float) -> str | None:
-    """Return a length or point in m, if its user has probably written mm.
+    """Format a length or point in m as text, if its user has probably written mm.
 
-    For example, ``0.12`` for a length of 120, and ``(0.02, 0)`` for the point (20, 0).
+    For example, ``"0.12"`` for a length of 120, and ``"(0.02, 0)"`` for the point (20, 0).
 
     Args:
         lengths: Length, or coordinates of a point [m].

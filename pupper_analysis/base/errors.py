@@ -150,7 +150,8 @@ number of joints of a quadruped with four joints per leg."""
 
 MAX_CLOSE_NAMES_WIDTH = 36
 """Largest width [characters] of the valid names in the short message about an unknown name, which
-the command line prints. Chosen: the rest of the message takes about 64 of 100 characters."""
+the command line prints; a single name may be wider. Chosen: the rest of the message takes about 64
+of 100 characters."""
 
 NUM_CLOSE_NAMES = 5
 """Number of similar names that the message of `UnknownNameError` lists if there are more than
@@ -171,9 +172,10 @@ _WORD = re.compile(r"[^\W_]+")
 class UnknownNameError(ModelError):
     """Name that a model, or another list of valid names, does not contain.
 
-    The message lists valid names, similar names first; of more than `MAX_LISTED_NAMES` valid names,
-    only the first `NUM_CLOSE_NAMES`, and the number of the omitted names. The short message lists
-    the valid names if their width is at most `MAX_CLOSE_NAMES_WIDTH`, else the most similar names.
+    The message lists valid names, names with common words first (`_find_by_words`); of more than
+    `MAX_LISTED_NAMES` valid names, only the first `NUM_CLOSE_NAMES`, and the number of the omitted
+    names. The short message lists the valid names if their width is at most
+    `MAX_CLOSE_NAMES_WIDTH`, else the most similar names.
 
     Args:
         source: File or model.
@@ -235,11 +237,11 @@ class UnknownNameError(ModelError):
 
 _MIN_CORRECTION_SIMILARITY = 0.75
 """Smallest similarity (`difflib`, 0 to 1) of a valid name that an unknown name probably means.
-Chosen, not tuned: a wrong, missing or additional character in four."""
+Chosen, not tuned: the similarity of two names that differ in one of four characters."""
 
 
 def _sort_by_similarity(unknown: str, known: Sequence[str], cutoff: float = 0.0) -> list[str]:
-    """Sort the valid names with a similarity of at least ``cutoff`` to an unknown name.
+    """Return the valid names with a similarity of at least ``cutoff``, the most similar first.
 
     Upper and lower case are equal. Equally similar names keep their order.
     """
@@ -267,9 +269,9 @@ def _choose_fitting_names(known: Sequence[str], similar: Sequence[str]) -> tuple
 
 
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Sort valid names by their similarity to an unknown name; upper and lower case are equal.
+    """Return valid names: first those with common words (`_find_by_words`), then the other names.
 
-    If there are many names, the result contains only some of them.
+    If there are many names, only the most similar of the other names are returned.
     """
     others: Iterable[str] = known
     if len(known) > MAX_LISTED_NAMES:
@@ -278,7 +280,7 @@ def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _find_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Return the valid names that contain an unknown name, then those of some of its words."""
+    """Return valid names that contain an unknown name, then names of which it has all words."""
     wanted = unknown.lower()
     words = set(_WORD.findall(wanted))
     containing = [name for name in known if wanted in name.lower()]

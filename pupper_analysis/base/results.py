@@ -89,13 +89,14 @@ MAX_REPR_LENGTH = 200
 three lines of a terminal."""
 
 _MAX_WARNING_LENGTH = 140
-"""Maximum number of characters of a warning in ``repr``. Chosen, not tuned: key fields follow."""
+"""Maximum number of characters of the warnings of a field in ``repr``, without quotes and dots.
+Chosen below `MAX_REPR_LENGTH`, so that key fields follow; not tuned."""
 
 _MAX_VALUE_LENGTH = 80
 """Maximum number of characters of a field's value in ``repr``. Chosen, not tuned."""
 
 _MAX_NESTED_FIELDS = 2
-"""Maximum number of fields that ``repr`` shows of a result in a field. Chosen, not tuned."""
+"""Maximum number of fields of a nested result that ``repr`` shows. Chosen, not tuned."""
 
 _MAX_SHOWN_ITEMS = 3
 """Maximum number of items of a container that ``repr`` shows. Chosen, not tuned: a position (3,) is
@@ -286,7 +287,7 @@ class Tabular(Result):
         return frame
 
     def _column_units(self, columns: Iterable[str]) -> dict[str, str]:
-        """Return {column: unit} of columns with a unit: in ``_units_of_columns``, or of a field."""
+        """Return {column: unit} from ``_units_of_columns``, or from the field of the same name."""
         names = list(columns)
         # A column of units states the unit of each row.
         units = {} if "unit" in names else get_field_units(self)
@@ -349,7 +350,7 @@ def _shorten_container(value: object, other: object) -> str:
 
 
 def _shorten_dataclass(value: Any) -> str:
-    """Return a short text of a result in a field: its class, and at most two simple fields."""
+    """Return a short text of a nested dataclass: its class, and at most two simple fields."""
     simple = [
         name
         for name in list_shown_fields(value)
@@ -425,8 +426,8 @@ def shorten_paths(value: _Value, prefix: str) -> _Value:
 def shorten_memory_paths(value: _Value, *paths: Path) -> _Value:
     """Replace the paths of robots in memory in a value by the names, such as ``<MjSpec pupper>``.
 
-    Such a path is the name in the folder of the meshes, where no file has this name. Other paths
-    are unchanged.
+    The path of a robot in memory consists of the folder of the meshes and the name in ``<>``; it is
+    not a file. If ``paths`` contains other paths, these are not replaced.
     """
     for path in paths:
         if path.name.startswith("<") and path.name != str(path):

@@ -253,7 +253,7 @@ def get_field_units(result: object) -> dict[str, str | Mapping[str, str]]:
 def replace_joint_units(result: object, units: Mapping[str, str]) -> dict[str, str]:
     """Replace units of hinges and slides, such as ``N m or N``, by the unit of a result's joints.
 
-    Units are unchanged if the result does not contain units of joints, or has hinges and slides.
+    Units are unchanged if the result contains no units of joints, or units of hinges and slides.
     """
     found: Any = getattr(result, "torque_units", None)
     found = found or getattr(getattr(result, "statics", None), "torque_units", None)
@@ -273,7 +273,7 @@ Chosen: above rounding errors of a few operations, below every displayed digit.
 
 
 def floor_within_rounding(number: float) -> int:
-    """Round a number that is not negative down to an integer, with a tolerance for rounding errors.
+    """Round a number from 0 to 1e11 down to an integer, with a tolerance for rounding errors.
 
     Products such as 100 * 0.57 are a rounding error below 57.
     """
