@@ -52,6 +52,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.robot.build import compile_with_visuals, report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.contact import MIN_FOOT_FRICTION
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
@@ -499,11 +500,6 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     )
 
 
-_MIN_FRICTION = 1e-3
-"""Sliding friction coefficient [1] of a foot's geom below which the added ground provides all
-friction. The limit of the audit's rule ``foot-frictionless``."""
-
-
 def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
     """Create the message that feet without friction stand by the friction of the added ground.
 
@@ -512,9 +508,9 @@ def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
     if all(note.code != "ground-added" for note in robot.notes):
         return None
     frictions = robot.mj_model.geom_friction[:, 0]
-    feet = [foot for geom, foot in robot.foot_geoms.items() if frictions[geom] < _MIN_FRICTION]
+    feet = [foot for geom, foot in robot.foot_geoms.items() if frictions[geom] < MIN_FOOT_FRICTION]
     slippery = {foot: robot.contacts[foot].sliding_friction for foot in feet}
-    borne = [foot for foot, friction in slippery.items() if friction >= _MIN_FRICTION]
+    borne = [foot for foot, friction in slippery.items() if friction >= MIN_FOOT_FRICTION]
     if not borne:
         return None
     friction = max(slippery[foot] for foot in borne)

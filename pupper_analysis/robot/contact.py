@@ -22,6 +22,10 @@ from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.impedance import effective_solref
 
+MIN_FOOT_FRICTION = 1e-3
+"""Sliding friction coefficient [1] below which a foot counts as frictionless, in the audit and in
+the message that the added ground provides all friction. Chosen, not tuned."""
+
 
 @dataclass(frozen=True)
 class ContactParameters:
@@ -56,7 +60,7 @@ class ContactParameters:
 
     @property
     def rolling_friction(self) -> float:
-        """Coefficient of rolling friction [m], the larger of two; 0 unless ``condim`` is 6."""
+        """Larger rolling friction coefficient of both axes [m]; 0 unless ``condim`` is 6."""
         return max(self.friction[3:]) if self.condim == 6 else 0.0
 
 

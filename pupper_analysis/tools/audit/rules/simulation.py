@@ -26,7 +26,7 @@ from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
-from pupper_analysis.robot.contact import combine_geoms, ground_geom
+from pupper_analysis.robot.contact import MIN_FOOT_FRICTION, combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import list_drives
@@ -81,7 +81,7 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
         friction = contact.friction[0]
         if ground is None:
             friction = min(friction, float(model.geom_friction[geom, 0]))
-        if friction < 1e-3 or contact.condim == 1:
+        if friction < MIN_FOOT_FRICTION or contact.condim == 1:
             message = diagnose("foot-frictionless", condim=contact.condim, friction=friction)
             yield _make_geom_finding(robot, geom, message)
 
