@@ -317,14 +317,14 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Find the joints of an MJCF whose force or control range permits no force, or with gear 0.
+    """Find the joints of an MJCF whose actuators exert no force, or whose force range is empty.
 
-    The ends of such a range are equal or inverted. MuJoCo ignores an empty range without a message,
-    so the compiled model has no limit for the joint. An actuator with gear 0 exerts no torque at
-    its joint.
+    An actuator exerts no force if its gear is 0, or if its force or control range is empty: both
+    ends are equal, or inverted. MuJoCo ignores an empty range without a message, so the compiled
+    model has no limit for the joint.
 
     Returns:
-        {joint: statement with the empty range}.
+        {joint: statement with the empty range of the joint, or of its first actuator}.
     """
     unknown = file.unknown.get("effort", ())  # if converted from another format
     found: dict[str, EffortStatement] = {}
@@ -476,9 +476,9 @@ def placeholder_efforts(
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yield the torque limits of hinges that are probably placeholders.
 
-    An effort is compared with the mass of the joint's two links (`MAX_TORQUE_PER_LINK_MASS`) and
-    its armature (`MAX_ROTOR_ACCELERATION`). The sum of the other efforts is compared with the mass
-    of the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
+    A round effort (`is_placeholder_number`) is compared with the mass of the joint's two links
+    (`MAX_TORQUE_PER_LINK_MASS`), each effort with the armature (`MAX_ROTOR_ACCELERATION`), and the
+    sum of the other efforts with the mass of the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
 
     Args:
         motors: Hinges with their torque limits.

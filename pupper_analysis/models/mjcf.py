@@ -182,10 +182,11 @@ _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 
 
 def lower_boundmass(spec: mujoco.MjSpec) -> float:
-    """Decrease the ``boundmass`` of a spec's compiler by one rounding, in place.
+    """Decrease the ``boundmass`` of a spec's compiler to the next smaller float, in place.
 
-    A body without a mass of its own then has exactly the returned mass in the compiled model, if
-    the compiler does not scale all masses (``settotalmass``).
+    In the compiled model, a body with a smaller mass of its own, such as 0, then has exactly the
+    returned mass; a body whose stated mass is the original bound has another mass. The compiler
+    must not scale all masses (``settotalmass``).
 
     Returns:
         The decreased bound [kg]; 0 if the spec has no bound.

@@ -1009,14 +1009,18 @@ _NAN_PATTERN: Final = re.compile(r"[+-]?nan(\(\w*\))?", re.IGNORECASE)
 """Pattern of a NaN in an MJCF."""
 
 _NON_NUMERIC_ATTRIBUTES: Final = ("name", "model", "file")
-"""Attributes without numbers, in which `_find_nan` ignores the word "nan", as in ``<text>``."""
+"""Attributes in which `_find_nan` ignores the word "nan", since their values are texts."""
 
 
 def _find_nan(tree: IncludeTree) -> tuple[Diagnostic, Place] | None:
-    """Return the message on the first attribute that contains NaN, and its place; None without NaN.
+    """Return the message on the first attribute that contains NaN, and its place.
 
-    MuJoCo refuses few of these attributes. It reads NaN in the position of an ``<inertial>``, for
-    example, as unspecified.
+    MuJoCo accepts NaN in most attributes. In the position of an ``<inertial>``, for example, NaN
+    means unspecified to MuJoCo.
+
+    Returns:
+        Message and place; None without NaN. Also None if an element has the name "nan", since
+        attributes may contain this name. Elements ``<text>`` are ignored.
     """
     roots = reversed((tree.root, *tree.attached))
     pending: list[tuple[XmlNode, tuple[str, str] | None]] = [(root, None) for root in roots]

@@ -565,7 +565,8 @@ def _delete_sensors(spec: mujoco.MjSpec, kind: mujoco.mjtObj, name: str) -> None
 def find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
     """Return the base that three slides, and three hinges or a ball, move freely; else None.
 
-    A base is not returned if its joints are driven or sprung, or contained in ``stated``.
+    The base is the body in the world whose subtree has the most joints. It is not returned if its
+    joints are driven or sprung, or contained in ``stated``, or if its subtree has no other joint.
 
     Args:
         spec: The MJCF.

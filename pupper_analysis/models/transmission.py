@@ -336,7 +336,7 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 def list_play_joints(model: mujoco.MjModel) -> list[int]:
     """Return the ids of the hinges that model the play (backlash) of a gear.
 
-    Such a hinge has no actuator, and the axis of a hinge with actuator on the same body.
+    Such a hinge has no actuator, and the axis and position of a driven hinge on the same body.
     """
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
     is_driven = {hinge: classify_joint_drive(model, hinge) is not Drive.NONE for hinge in hinges}
@@ -357,11 +357,12 @@ def list_play_joints(model: mujoco.MjModel) -> list[int]:
 
 
 def list_falling_base_joints(model: mujoco.MjModel, added: Collection[str] = ()) -> list[int]:
-    """Return the ids of the undriven joints of the base if the base falls along one of them.
+    """Return the ids of the undriven joints of a base that falls along one of these joints.
 
     Planar robots, such as a hopper, have slides and a hinge between the world and the torso. The
     base falls along a slide without actuator, range and spring, whose axis at ``qpos0`` is not
-    perpendicular to gravity. If no joint has an actuator, the result is empty.
+    perpendicular to gravity. The first body in the world with such a slide is the base. The result
+    is empty without such a body, or if no joint has an actuator in the file.
 
     Args:
         model: Model.

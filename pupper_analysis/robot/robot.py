@@ -1024,9 +1024,9 @@ _temporary_pool: ContextVar[_PooledObjects | None] = ContextVar("_temporary_pool
 
 @contextmanager
 def release_borrowed_objects() -> Iterator[None]:
-    """Context manager: release the objects that are borrowed in its context at its end.
+    """Context manager: give `borrow` a temporary pool, whose objects are released at the end.
 
-    Use it around code that creates robots for intermediate steps: each object refers to the robot,
+    Use it around code that creates robots for intermediate steps: each object refers to its robot,
     and a compiled model with many meshes may need hundreds of MB.
     """
     token = _temporary_pool.set([])
