@@ -52,6 +52,9 @@ is 3.2 mrad. Chosen larger than a gap of 1.3 mrad in the pitch of Pupper v3."""
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 """Base coordinates whose reachable intervals `base_workspace` determines."""
 
+ANGLE_COORDINATES = ("roll", "pitch", "yaw")
+"""Coordinates of the base that are angles [rad]; the others are lengths [m]."""
+
 _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
 """{base coordinate: first step of the outward search from the initial stand [m or rad]}. Chosen,
 not tuned."""
@@ -75,8 +78,8 @@ class Interval(Result):
 
 def get_coordinate_unit(coordinate: str) -> str:
     """Return the unit of a coordinate of base or feet: rad for roll, pitch and yaw, otherwise m."""
-    is_angle = coordinate in ("roll", "pitch", "yaw")
-    return (HINGE_UNITS if is_angle else SLIDE_UNITS).position
+    units = HINGE_UNITS if coordinate in ANGLE_COORDINATES else SLIDE_UNITS
+    return units.position
 
 
 @dataclass(frozen=True, eq=False)

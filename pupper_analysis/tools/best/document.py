@@ -15,6 +15,7 @@ from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.standing import quantity_columns, task_text
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.workspace import ANGLE_COORDINATES
 from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
@@ -135,14 +136,15 @@ def _shorten_coordinates(best: BestStance) -> str:
     parts = [f"height {1e3 * best.stand.task.height:.1f} mm"] if best.stand.task.height else []
     parts += [f"feet moved ≤{largest:.0f} mm"] if round(largest) else []
     start = len(parts)
-    for names, scale, unit in (("x", "y"), 1e3, "mm"), (_ANGLES, math.degrees(1.0), "deg"):
+    angles = ANGLE_COORDINATES
+    for names, scale, unit in (("x", "y"), 1e3, "mm"), (angles, math.degrees(1.0), "deg"):
         shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
         moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
         parts += [f"{', '.join(moved)} {unit}"] if moved else []
     found = ", ".join(parts)
     if len(found) > _MAX_COORDINATES_WIDTH:
         distance = 1e3 * math.hypot(*(best.coordinates.get(name, 0.0) for name in ("x", "y")))
-        angle = max(abs(math.degrees(best.coordinates.get(name, 0.0))) for name in _ANGLES)
+        angle = max(abs(math.degrees(best.coordinates.get(name, 0.0))) for name in angles)
         moved = [f"{distance:.0f} mm"] if round(distance) else []
         turned = [f"{angle:.0f} deg"] if round(angle) else []
         found = ", ".join([*parts[:start], f"base {' and '.join((*moved, *turned))}"])
@@ -154,15 +156,11 @@ _MAX_COORDINATES_WIDTH = 62
 after the coordinates take at most 38 of the 100 characters of a line."""
 
 
-_ANGLES = ("roll", "pitch", "yaw")
-"""Names of the coordinates that are angles [rad]; the report prints degrees."""
-
-
 def _make_coordinate_table(best: BestStance) -> doc.Table:
     """Create the table of the searched coordinates of the best stance [mm or deg]."""
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
-        angle = name in _ANGLES
+        angle = name in ANGLE_COORDINATES
         cell = doc.number_cell(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
         rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
     return doc.Table(

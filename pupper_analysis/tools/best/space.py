@@ -25,14 +25,12 @@ from pupper_analysis.stance.search import search_from_configuration, search_stan
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
-from pupper_analysis.stance.workspace import find_interval
+from pupper_analysis.stance.workspace import ANGLE_COORDINATES, find_interval
 from pupper_analysis.statics.support_polygon import differentiate_side_distances, polygon_sides
 
 BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
 """Coordinates of the base; see `BestStance.coordinates` for the definition."""
 
-_BASE_ROTATIONS = ("roll", "pitch", "yaw")
-"""Coordinates of the base that are angles."""
 
 HEIGHT_RESERVE = 0.05
 """Fraction of the reachable interval of base heights that the search excludes at either end,
@@ -166,7 +164,7 @@ class StanceSpace:
         """Return the lower and upper bounds of a stance's coordinates, (n,) each [m or rad]."""
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
-        max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
+        max_changes |= dict.fromkeys(ANGLE_COORDINATES, MAX_BASE_ROTATION)
         workspace = {
             name: find_interval(
                 self.robot, self.nominal, name, max_changes[name], default_guesses_only=True

@@ -16,15 +16,10 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
 from pupper_analysis.present.plots import Canvas, draw_result, make_figure_title, make_panels
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.workspace import BaseWorkspace
+from pupper_analysis.stance.workspace import ANGLE_COORDINATES, BaseWorkspace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
-"""Directions of a base workspace whose ranges are angles [rad]; the report prints degrees. The
-ranges of other directions are lengths [m], printed in mm."""
-
 
 _MERGED_NAMES = {
     "workspace-ends-at-joint-limits": "joints",
@@ -125,10 +120,10 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     rows: list[tuple[doc.Cell, ...]] = []
     lengths, angles = list[doc.Text](), list[doc.Text]()
     # Lengths come first, since the answer begins with the height.
-    directions = sorted(workspace.intervals, key=lambda name: name in _ANGLE_DIRECTIONS)
+    directions = sorted(workspace.intervals, key=lambda name: name in ANGLE_COORDINATES)
     for number, direction in enumerate(directions):
         interval = workspace.intervals[direction]
-        angle = direction in _ANGLE_DIRECTIONS
+        angle = direction in ANGLE_COORDINATES
         scale, unit = (math.degrees(1.0), "deg") if angle else (1e3, "mm")
         form = ".1f" if direction == "height" else "+.1f"
         low, high = (
@@ -137,7 +132,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         limits = map(doc.diagnostic_text, workspace.limits[direction])
         rows.append((text(direction), low, high, doc.Name(unit), *limits))
         following = directions[number + 1 : number + 2]
-        is_last = not following or (following[0] in _ANGLE_DIRECTIONS) != angle
+        is_last = not following or (following[0] in ANGLE_COORDINATES) != angle
         values: dict[str, object] = {
             **{"low": low.text, "high": high.text, "unit": unit, "last": is_last},
             "ends": _format_rounded_range(scale * interval.low, scale * interval.high),
@@ -210,8 +205,8 @@ def plot_workspace(workspace: BaseWorkspace, _: Robot | None, canvas: Canvas) ->
             [name for name in workspace.intervals if chosen(name)],
         )
         for title, unit, scale, chosen in (
-            ("workspace-lengths", "mm", 1e3, lambda name: name not in _ANGLE_DIRECTIONS),
-            ("workspace-angles", "deg", math.degrees(1.0), _ANGLE_DIRECTIONS.__contains__),
+            ("workspace-lengths", "mm", 1e3, lambda name: name not in ANGLE_COORDINATES),
+            ("workspace-angles", "deg", math.degrees(1.0), ANGLE_COORDINATES.__contains__),
         )
     ]
     groups = [group for group in groups if group[-1]]
