@@ -451,7 +451,7 @@ class PostureKeyframe:
     Attributes:
         key: Index of the keyframe in the published model.
         name: Name of the keyframe.
-        moved: Displacement of each joint that closes the loops and couplings, shape (nu,) [rad, m]:
+        moved: Displacement of each joint when loops and couplings are closed, shape (nu,) [rad, m]:
             position in the posture minus position in the keyframe. 0 for dependent joints, which
             servos do not hold.
         reference: Joint positions of the keyframe, shape (nu,) [rad, m], with dependent joints as

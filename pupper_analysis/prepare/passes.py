@@ -286,7 +286,7 @@ def _has_free_base_request(draft: Draft) -> bool:
 
 
 def _has_free_base(draft: Draft) -> bool:
-    """Return True if the robot's base is free; callable only after the pass ``match``."""
+    """Return True if the robot's base is free; False before the pass ``match``."""
     return not draft.request.fixed_base and draft.floating
 
 
@@ -489,9 +489,10 @@ def _find_feet(draft: Draft) -> PassOutput:
 
 
 def _explain_missing_feet(messages: Sequence[Diagnostic]) -> Diagnostic | None:
-    """Return the message that the mesh files of feet are missing or unreadable; None without any.
+    """Return the message that no feet are found because mesh files are missing or refused.
 
-    Missing files, which a user can add, have precedence over files that MuJoCo refuses.
+    Missing files, which a user can add, have precedence over files that MuJoCo refuses. None if
+    ``messages`` report no such file.
     """
     losses = [
         note

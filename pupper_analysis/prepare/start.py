@@ -244,10 +244,10 @@ _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad, m]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
-_FRICTION_SLACK = 1e-6
-"""Excess of the horizontal part of gravity over the friction, divided by the vertical part [1], up
-to which a stand is searched. Chosen above the tolerances of contact forces, 1e-9 of the weight.
-"""
+_FRICTION_ATOL = 1e-6
+"""Tolerance of the friction coefficient [1]. A stand is searched if the horizontal part of gravity,
+divided by the vertical part, exceeds the friction coefficient by at most this tolerance. Chosen
+above the tolerances of contact forces, 1e-9 of the weight."""
 
 _MIN_CONTACT_RATE = 1e-9
 """Lower bound of the magnitude of a Jacobian's element [m/rad, 1] with which a joint counts as
@@ -344,7 +344,7 @@ def _can_carry_weight(robot: Robot) -> bool:
     friction = float(contacts.friction.max(initial=0.0))
     sideways, down = math.hypot(*robot.gravity[:2].tolist()), -float(robot.gravity[2])
     # Passive forces, such as that of a spring between base and world, may carry a part.
-    is_too_slippery = sideways > (friction + _FRICTION_SLACK) * down and not robot.acts_at_rest
+    is_too_slippery = sideways > (friction + _FRICTION_ATOL) * down and not robot.acts_at_rest
     return not ((contacts.friction < 0).all() or (is_too_slippery and contacts.is_level))
 
 

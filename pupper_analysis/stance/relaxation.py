@@ -126,11 +126,11 @@ def explain_refusal(
         describe_mechanism_limit(robot, targets)
         or (_describe_different_files(robot) if explain and not named else None),
         {name: joint_unit(robot, name) for name in at_limit},
-        _suggest_millimetres(targets.task),
+        _report_millimetres(targets.task),
     )
 
 
-def _suggest_millimetres(task: StandTask) -> Iterator[Diagnostic]:
+def _report_millimetres(task: StandTask) -> Iterator[Diagnostic]:
     """Yield a message with the value in m for each length or point that is probably in mm."""
     for field in FIELDS.values():
         if field.unit != "m" or field.kind == "contact":

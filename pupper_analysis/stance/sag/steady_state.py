@@ -465,7 +465,7 @@ class SteadyState(Result):
             overshoot after the feed-forward is removed in one step. To first order, the overshoot
             is twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
             slip or lift, and the robot may come to rest up to millimetres away from the
-            equilibrium. Infinite without contacts.
+            equilibrium. Infinite without contacts that have friction.
         lasts: Time until creep ends the equilibrium or leads to a failure (s). Infinite if this
             time is longer than ``HOLD_DURATION``, or is not computed.
         failures: Reasons why the robot does not stay in this equilibrium; empty if no reason was
