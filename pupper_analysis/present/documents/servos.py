@@ -31,8 +31,9 @@ def split_servo_statement(
 
 
 def exceeds_explicit_damping(servos: ServoBounds | None) -> bool:
-    """Return True if kd exceeds the bound of an explicit PD controller."""
-    return servos is not None and (servos.largest_kd_factor or math.inf) < 1
+    """Return True if kd exceeds the bound of an explicit PD controller; False if none is known."""
+    factor = None if servos is None else servos.largest_kd_factor
+    return factor is not None and factor < 1
 
 
 def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
@@ -51,7 +52,7 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
     kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
     units = servos.units
     bounded = most is not None and math.isfinite(most)
-    over = most is not None and most < 1
+    over = exceeds_explicit_damping(servos)
     yield text(
         "servo-gains" if scales else "servo-factors",
         kp=format_number(one.kp, ".3g"),
@@ -72,8 +73,9 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
 def round_bound(bound: float, gain: float) -> float:
     """Round a bound of a servo gain to two significant digits, or more if the gain is near.
 
-    The rounded bound is above, equal to or below the gain as displayed (three digits), as the exact
-    bound and gain are. ``bound`` and ``gain`` may also be factors on gains.
+    If `_MAX_BOUND_DIGITS` digits suffice, the rounded bound is above, equal to or below the gain as
+    displayed (three digits), as the exact bound and gain are. ``bound`` and ``gain`` may also be
+    factors on gains.
     """
     displayed = float(f"{gain:.3g}")
     for digits in range(2, _MAX_BOUND_DIGITS):

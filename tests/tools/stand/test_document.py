@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.present.documents.loads import format_share
-from pupper_analysis.present.documents.servos import round_bound
+from pupper_analysis.present.documents.servos import exceeds_explicit_damping, round_bound
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.simulation.servo_bounds import SoftServos
@@ -51,6 +52,14 @@ def test_damping_beyond_an_explicit_controller_leads_to_the_gains(
     (line,) = [line for line in document.findings if getattr(line, "short", "").startswith("kp ")]
     assert line.short == f"kp 320 N m/rad (min 28), {damping}"
     assert len(f"  added servos: {line.short}; 4 more: -v") <= MAX_ANSWER_WIDTH
+
+
+@pytest.mark.parametrize(
+    ("factor", "exceeds"), [(None, False), (math.inf, False), (1.0, False), (0.99, True), (0, True)]
+)
+def test_a_bound_of_zero_damping_is_exceeded(factor: float | None, exceeds: bool) -> None:
+    bounds = replace(SERVO_BOUNDS, largest_kd_factor=factor)
+    assert exceeds_explicit_damping(bounds) is exceeds
 
 
 @pytest.mark.parametrize(
