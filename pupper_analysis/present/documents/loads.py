@@ -26,7 +26,12 @@ from pupper_analysis.present.documents.sources import cite_page
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
+from pupper_analysis.statics.equilibrium import (
+    Equilibrium,
+    GravityCompensation,
+    find_hardest_motor,
+    peak_utilisation,
+)
 
 NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
 """Empty default of the argument ``more`` of `torque_table`: the table has no further columns."""
@@ -52,6 +57,34 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
 def format_share(share: float) -> str:
     """Format a motor utilisation [1] in percent with three digits; "" if it is not finite."""
     return format_number(100 * share, ".3g") if math.isfinite(share) else ""
+
+
+def format_share_values(share: float) -> dict[str, str]:
+    """Return the values of a text on a motor utilisation [1]; each may be "".
+
+    ``share`` is the utilisation in percent. ``zero`` is "0" for an effort limit of 0 (infinite
+    utilisation), ``unknown`` is "unknown" for an unknown limit (NaN).
+    """
+    return {
+        "share": format_share(share),
+        "zero": "0" if math.isinf(share) else "",
+        "unknown": "unknown" if math.isnan(share) else "",
+    }
+
+
+def format_peak_load(statics: Equilibrium) -> dict[str, Any]:
+    """Return the values of a text on the most loaded motor (`find_hardest_motor`).
+
+    The values are those of `format_share_values`, ``torque`` [N m, N] with its ``unit``, and
+    ``joint``.
+    """
+    peak = find_hardest_motor(statics)
+    return {
+        **format_share_values(float(statics.motor_utilisation[peak])),
+        "torque": doc.format_widened(abs(float(statics.joint_torques[peak])), ".2f"),
+        "unit": statics.torque_units[peak],
+        "joint": doc.Name(statics.joint_names[peak]),
+    }
 
 
 def limit_cell(limit: float, form: str = "g") -> doc.Cell:

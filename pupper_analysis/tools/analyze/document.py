@@ -31,7 +31,7 @@ from pupper_analysis.present.document import (
     word,
 )
 from pupper_analysis.present.documents.loads import (
-    format_share,
+    format_peak_load,
     load_blocks,
     origins_text,
     proof_text,
@@ -65,7 +65,7 @@ from pupper_analysis.present.verdict import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending
 from pupper_analysis.simulation.verify import StandVerification
-from pupper_analysis.statics.equilibrium import find_hardest_motor, peak_utilisation
+from pupper_analysis.statics.equilibrium import peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
@@ -186,20 +186,11 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     """Yield lines with mass and largest load, base height, and worst cross-check deviation."""
-    statics = analysis.statics
-    most = find_hardest_motor(statics)
-    share = float(statics.motor_utilisation[most])
-    torque = abs(float(statics.joint_torques[most]))
     yield text(
         "mass-kg-peak-torque-torque",
         mass=doc.format_widened(analysis.total_mass, ".3f"),
         ground=ground_word(analysis.stand.depths.values()),
-        torque=format(torque, doc.widen_format(".2f", [torque])),
-        unit=statics.torque_units[most],
-        share=format_share(share),
-        zero="0" if math.isinf(share) else "",
-        unknown="unknown" if math.isnan(share) else "",
-        joint=doc.Name(statics.joint_names[most]),
+        **format_peak_load(analysis.statics),
     )
     yield text(
         "stands-height-mm-high",

@@ -100,7 +100,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
             count=best.evaluations,
             share=f"{100 * best.value:.4g}",
             rounded=f"{100 * best.value:.3g}",
-            torque=format(torque, doc.widen_format(".2f", [torque])),
+            torque=doc.format_widened(torque, ".2f"),
             unit=statics.torque_units[peak],
             joint=doc.Name(statics.joint_names[peak]),
             nominal=f"{100 * best.nominal_value:.4g}",

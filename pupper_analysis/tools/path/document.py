@@ -12,7 +12,7 @@ from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
-from pupper_analysis.present.documents.loads import format_share, view_block
+from pupper_analysis.present.documents.loads import format_share, format_share_values, view_block
 from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
@@ -37,9 +37,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             height=f"{1e3 * tracking.height_error:.1f}",
             seconds=f"{path.time[-1]:.4g}",
             still=not path.has_motion,
-            share=format_share(used),
-            zero="0" if math.isinf(used) else "",
-            unknown="unknown" if math.isnan(used) else "",
+            **format_share_values(used),
             joint=doc.Name(path.peak_joint),
             time=f"{path.peak_time:.2f}",
         ),

@@ -22,7 +22,7 @@ from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import (
-    format_share,
+    format_peak_load,
     get_display_scales,
     load_blocks,
     view_block,
@@ -56,7 +56,6 @@ from pupper_analysis.simulation.verdict import (
 )
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
-from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 
@@ -282,19 +281,7 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
     """Yield a text with the most loaded motor, the torque or force, and the utilisation [%]."""
-    statics = stance.statics
-    peak = find_hardest_motor(statics)
-    share = float(statics.motor_utilisation[peak])
-    torque = abs(float(statics.joint_torques[peak]))
-    yield text(
-        "load-of-motors",
-        torque=format(torque, doc.widen_format(".2f", [torque])),
-        unit=statics.torque_units[peak],
-        share=format_share(share),
-        zero="0" if math.isinf(share) else "",
-        unknown="unknown" if math.isnan(share) else "",
-        joint=doc.Name(statics.joint_names[peak]),
-    )
+    yield text("load-of-motors", **format_peak_load(stance.statics))
 
 
 def _describe_base(stance: Stance) -> Iterable[doc.Words]:

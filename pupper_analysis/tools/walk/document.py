@@ -239,7 +239,7 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
         yield text(
             "walk-limits-unknown",
             count=len(unknown),
-            peak=format(peak[largest], doc.widen_format(".2f", [float(peak[largest])])),
+            peak=doc.format_widened(float(peak[largest]), ".2f"),
             unit=walk.torque_units[largest],
             joint=doc.Name(walk.joints[largest]),
         )
