@@ -140,8 +140,8 @@ def _add_stance_file(step: NextStep, values: Mapping[str, Any], running: click.C
         running: Running command.
 
     Returns:
-        Next step with ``--stance FILE``, without the typed options of the stance. If no file was
-        typed, the running command with ``--json``.
+        Next step with ``--stance FILE``, without the typed options of the stance. If ``--json``
+        was not typed, or for standard output, the running command with ``--json FILE``.
     """
     from pupper_analysis.cli.stance_fields import OPTION_FIELDS
 

@@ -365,7 +365,10 @@ def name_uniquely(
 
 
 def _add_folders(files: RobotFiles, meant: Sequence[str | VariantSpec | RobotFiles]) -> str:
-    """Return the names of files with as many folders as distinguish them from other selections."""
+    """Return the names of files with as many folders as distinguish them from other selections.
+
+    ``meant`` are all selections of the user.
+    """
     others = [other for other in meant if isinstance(other, RobotFiles) and other != files]
     count = max((len(Path(model).parts) for model in files.models), default=1)
     name = str(files)

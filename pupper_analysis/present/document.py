@@ -94,7 +94,7 @@ def get_english(words: Words) -> str:
 
 
 def translate(words: Words, language: str) -> str:
-    """Return a text in a language ("en", "zh"), or the string of an untranslated name."""
+    """Return a text in a language ("en", "zh"), or an untranslated `Name` as it is."""
     if isinstance(words, Text):
         return words.zh if language == "zh" else words.en
     return words.text

@@ -70,9 +70,10 @@ class Canvas:
     def create_figure(self, **options: Any) -> Figure | SubFigure:
         """Return the figure, or a new figure of ``pyplot`` with `SCREEN_DPI` pixels per inch.
 
-        ``options`` are arguments of ``pyplot.figure``; ``dpi`` is replaced. An existing figure
-        keeps its size. It gets the layout of ``options`` if it has none. If ``options`` has no
-        layout, the plot places its panels itself, and the layout of the figure is removed.
+        ``options`` are arguments of ``pyplot.figure``, including ``layout``; ``dpi`` is replaced.
+        Of an existing figure, only the layout changes: a figure without a layout gets ``layout``.
+        If ``layout`` is None, the layout of the figure is removed, because the plot places its
+        panels itself.
 
         Raises:
             ConfigurationError: If the canvas consists of axes: the plot has several panels.
@@ -170,6 +171,9 @@ def draw_plots(
     """Draw plots on a canvas, below each other; return the axes of the panels.
 
     If ``named``, each panel of a figure has the title of its plot.
+
+    Raises:
+        ConfigurationError: If the canvas consists of axes, and there are several plots.
     """
     from pupper_analysis.present.figures.drawing import draw_panel, make_plots_figure
 
@@ -196,7 +200,7 @@ def make_figure_title(document: Document) -> Name:
 
 
 def make_joint_title(documents: Sequence[Document]) -> Name:
-    """Return the title of a figure with several results of the same kind, or with a single result.
+    """Return the common title of a figure with one or several results of the same kind.
 
     For example: ``WITHSTANDS v3, FAILS v3-heavy: Pushes``.
     """
@@ -211,6 +215,9 @@ def make_panels(
     """Return the axes of panels below each other, with the title of the figure or of the axes.
 
     ``height`` is that of a new figure, in inches; ``rows`` are the relative heights of the panels.
+
+    Raises:
+        ConfigurationError: If the canvas consists of axes, and there are several panels.
     """
     from pupper_analysis.present.figures.drawing import make_page_figure, title_panel
 

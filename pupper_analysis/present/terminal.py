@@ -269,18 +269,18 @@ def _join_short_messages(messages: Sequence[Words], language: str) -> Text:
     semicolon = translate(text("semicolon"), language)
     for message in messages:
         part = _style_words(message, language, short=True)
-        more = f"{semicolon}{_count_more_messages(left - 1, language)}" if left > 1 else ""
+        more = f"{semicolon}{_describe_omitted(left - 1, language)}" if left > 1 else ""
         room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - cell_len(more)
         if line.plain and cell_len(part.plain) > room:
-            line.append(f"{semicolon}{_count_more_messages(left, language)}", "dim")
+            line.append(f"{semicolon}{_describe_omitted(left, language)}", "dim")
             break
         line.append(semicolon if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1
     return line
 
 
-def _count_more_messages(count: int, language: str) -> str:
-    """Return the number of messages that the second line omits, with the option ``-v``."""
+def _describe_omitted(count: int, language: str) -> str:
+    """Return a text with the number of messages that the second line omits, and option ``-v``."""
     return translate(text("more-messages", count=count), language)
 
 
@@ -492,7 +492,10 @@ class _WrappedText(Text):
     """Text of rich that also breaks lines between Chinese characters."""
 
     def wrap(self, console: Console, width: int, **options: Any) -> RichLines:
-        """Wrap this text to ``width`` cells, without a cut in a name or number; called by rich."""
+        """Wrap this text to ``width`` cells; called by rich.
+
+        Names and numbers in a Chinese text are not cut. Other texts are wrapped by rich.
+        """
         if self.plain.isascii() or not _WIDE_PATTERN.search(self.plain):
             return super().wrap(console, width, **options)
         rows = RichLines()

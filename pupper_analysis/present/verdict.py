@@ -152,7 +152,7 @@ def get_verdict_key(verdict: Verdict) -> str:
 
 
 _QUALIFIED_KEY = "HOLDS with feed-forward"
-"""Key of the verdict that the stand holds only with gravity compensation."""
+"""Key of the verdict that the stand holds only with feed-forward torques."""
 
 
 def split_ties(ties: Iterable[Diagnostic]) -> tuple[str, tuple[Text, ...], tuple[Text, ...]]:

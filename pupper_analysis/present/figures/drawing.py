@@ -89,7 +89,7 @@ _GRID_ZORDER = 0.5
 _LINE_ZORDER = 2.0
 """Order in which Matplotlib draws other lines; the default of Matplotlib."""
 _TICK_CLASSES = ("other", "limit")
-"""Classes of the HTML report's style sheet of the ticks beside a bar, which are upright."""
+"""Classes of the HTML report's style sheet for the marks of a bar that are upright ticks."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
 """{class of the HTML report's style sheet: line width of a mark [pt]}. Other classes have the
 default width.
@@ -410,7 +410,10 @@ def shorten_names(names: Sequence[str]) -> list[str]:
 
 @contextmanager
 def silence_missing_letters() -> Iterator[None]:
-    """Suppress Matplotlib's warnings about letters without a font: the figure states them."""
+    """Suppress Matplotlib's warnings about letters that no font contains.
+
+    `set_fallback_fonts` adds a remark to the figure instead.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield

@@ -674,9 +674,9 @@ def _write_feet(
 _MAX_FOOT_NAME_LENGTH = 20
 """Largest number of letters of the displayed name of a foot. Chosen, not tuned."""
 
-_NUM_ROOM_STEPS = 100
+_NUM_SCALE_ITERATIONS = 100
 """Number of fixed-point iterations for the scale of a view. Chosen, not tuned: each iteration
-reduces the error by the fraction of the panel that names cover, 0.86 for names of 20 letters.
+multiplies the error by the fraction of the panel that names cover, 0.86 for names of 20 letters.
 """
 
 
@@ -699,7 +699,7 @@ def _make_room_for_texts(axes: Axes, texts: Sequence[Annotation]) -> None:
     before = np.array([box.x0 for box in boxes]) - places  # [pixels]
     behind = np.array([box.x1 for box in boxes]) - places
     start, end = low, high
-    for _ in range(_NUM_ROOM_STEPS):
+    for _ in range(_NUM_SCALE_ITERATIONS):
         start = min(low, float(np.min(anchors + before / scale)))
         end = max(high, float(np.max(anchors + behind / scale)))
         scale = min(height_scale, panel.width / (end - start))
