@@ -343,7 +343,9 @@ def _check_joints(robot: Robot, policy: Policy, template: Path) -> None:
     try:
         find_joint_indices(robot, policy)
     except ModelError as error:
-        if policy.contract.num_joints < robot.nu and not path_exists(template):
+        contract = policy.contract
+        can_help = not contract.joints and contract.num_joints < robot.nu
+        if can_help and not path_exists(template):
             error.add_note(_complete_template_command())
         raise
 

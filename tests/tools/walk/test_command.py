@@ -240,6 +240,19 @@ def test_policy_for_fewer_joints_without_names_proposes_a_template_that_can_be_w
     assert "next:" not in err  # the template exists
 
 
+def test_policy_with_an_unknown_joint_proposes_no_template(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A template adds names to a policy without names; this policy has names."""
+    mjcf = str(legged.quadruped(tmp_path, actuators="position", floor=True, head=True).mjcf)
+    names = [*pa.load_robot(mjcf).joint_names[:11], "tail"]
+    policy = made.write_standing_policy(tmp_path / "still.json", joint_names=names)
+    status, _, err = run_command(capfd, "walk", mjcf, str(policy))
+    assert status == 2
+    assert "no joint 'tail'" in err
+    assert "--init" not in err
+
+
 def test_policy_for_more_joints_proposes_no_command(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
