@@ -885,13 +885,15 @@ def _is_number_of_inputs_possible(
     """Return True if a network with ``inputs`` elements can read the observation terms.
 
     ``known`` is the number of elements of the terms of known size; each of the other terms,
-    ``unknown``, has at least one element.
+    ``unknown``, has at least one element. If no term states a history, ``inputs`` may be a multiple
+    of ``known``.
     """
     if unknown:
         return inputs >= known + len(unknown)
     if any(term.history for term in terms):
         return inputs == known
-    return inputs > 0 and inputs % known == 0  # the history may be stated elsewhere
+    # The history may be stated elsewhere.
+    return inputs > 0 and known > 0 and inputs % known == 0
 
 
 _ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)

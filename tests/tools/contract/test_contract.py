@@ -232,6 +232,18 @@ def test_number_of_network_actions_is_compared_with_other_sources(
     assert (finding.kind, finding.values) == ("actions", (10, 12))
 
 
+@pytest.mark.parametrize(("actions", "kinds"), [(12, set()), (0, {"observed numbers"})])
+def test_inputs_are_compared_with_an_observation_without_elements(
+    tmp_path: Path, actions: int, kinds: set[str]
+) -> None:
+    """With 0 actions, the only term has 0 elements, and a remainder is not defined."""
+    deploy = tmp_path / "deploy.yaml"
+    deploy.write_text(
+        f"kp: 5.0\nnum_actions: {actions}\nnum_obs: 12\nobservations:\n  last_action: {{}}\n"
+    )
+    assert {finding.kind for finding in contract(deploy).findings} == kinds
+
+
 def test_joints_of_other_names_are_matched_by_structure(
     tmp_path: Path, sources: dict[str, Path]
 ) -> None:
