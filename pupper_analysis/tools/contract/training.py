@@ -110,6 +110,7 @@ def describe_partial_terms(
     """Return {quantity: message} of observation terms with other joints than the action.
 
     In Isaac Lab and mjlab, ``asset_cfg`` of a term may select joints (``joint_names``, patterns).
+    The pattern ``.*`` for all joints is not reported.
 
     Args:
         group: Observation terms, as for `list_observation_terms`.

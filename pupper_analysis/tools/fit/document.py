@@ -335,7 +335,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 candidates=str(plan.candidates),
                 determined=str(num_determined),
                 parameters=str(len(plan.expected)),
-                kinds=_count_determined(plan),
+                kinds=_describe_determined(plan),
             ),
             *_describe_known_mass(plan),
         ),
@@ -344,8 +344,8 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     )
 
 
-def _count_determined(plan: StandPlan) -> str:
-    """Return the number of parameters of each kind that the measurements alone determine."""
+def _describe_determined(plan: StandPlan) -> str:
+    """Return the parameters that the measurements alone determine, by kind: ``12 zero, 3 com``."""
     counts = Counter(
         estimate.kind for estimate in plan.expected if estimate.determined is Determined.DATA
     )

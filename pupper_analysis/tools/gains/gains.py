@@ -120,13 +120,12 @@ _CURVE_HALF_LENGTH = 6
 damping over the stiffness. Chosen, not tuned."""
 
 _NUM_LOWER_POINTS = 3
-"""Number of additional points of the plot, from the least stable stiffness up to the other points.
-Chosen, not tuned."""
+"""Number of additional points of the plot, from the least stable stiffness up to the lowest of the
+other points. Chosen, not tuned."""
 
 _MAX_LOWER_RATIO = 2.0**-0.005
-"""Upper bound of the least stable stiffness, divided by the lowest of the other points [1], with
-which there are additional points. Chosen, not tuned: the ratio of neighbouring points is
-`_CURVE_RATIO`."""
+"""Least stable stiffness, divided by the lowest point of the plot [1], below which the plot gets
+additional points. Chosen, not tuned: just below 1, so that additional points do not coincide."""
 
 
 @dataclass(frozen=True)

@@ -457,8 +457,10 @@ def _choose_duration(
 ) -> float:
     """Return the duration of the temperature curves [s].
 
-    If a motor reaches its temperature limit, the duration is `_OVERHEATING_DURATION` times the
-    first such time. Otherwise, it is the longest time in which a winding settles.
+    If a motor reaches its temperature limit after some time, the duration is
+    `_OVERHEATING_DURATION` times the first such time. Otherwise, it is the longest time in which a
+    winding settles. For a winding that heats up without limit, this time is the sum of the thermal
+    capacities times the sum of the resistances. The duration is at most `_MAX_DURATION`.
     """
     longest = 0.0
     hot = [heat.time_to_limit for heat in heats if heat.time_to_limit is not None]

@@ -582,9 +582,10 @@ def hold_posture(
 
 
 def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | None:
-    """Create the message that constraints move joints that were not requested; None otherwise.
+    """Create the message that constraints move joints of a keyframe that were not requested.
 
-    `judge_simulation` creates this message for the posture of a keyframe without requested joints.
+    None for a posture without a keyframe or without requested joints: in the second case,
+    `judge_simulation` creates the message.
     """
     if robot.closure is None or not (posture.keyframe and posture.requested_joints):
         return None

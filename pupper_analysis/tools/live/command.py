@@ -45,7 +45,7 @@ _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))
 """Names of the command's parameters that all modes accept: files and options of the robot."""
 
 _PAGE = Phrase("the page", "网页")
-"""Mode of `live` that no option selects."""
+"""Default mode of `live`: the page with sliders, which no option selects."""
 
 _OPTIONS_OF_MODE = {
     "--mujoco": {*_ROBOT_OPTIONS, "viewer", "headless", "fixed_base"},

@@ -305,6 +305,8 @@ def study_path(
         stable final stand: no mode of the linearised dynamics grows within 12 s.
 
     Raises:
+        ConfigurationError: If an argument is invalid for the robot, or the base is fixed, for
+            example.
         StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
         StaticsInfeasibleError: If the stance, or a sample of the path, cannot be held.
     """

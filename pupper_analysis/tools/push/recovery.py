@@ -367,7 +367,7 @@ def _choose_resolution(estimate: Array) -> float:
     """Choose the resolution of the impulses [N s] from the tipping estimates, shape (n,) [N s].
 
     The resolution is `DEFAULT_RESOLUTION`, or `_RESOLUTION_RATIO` times the smallest estimate,
-    rounded down to one digit, if this is less.
+    rounded down to one digit, if this is less and positive; at least `MIN_RESOLUTION`.
     """
     smallest = float(np.min(estimate, initial=np.inf))
     if not 0 < _RESOLUTION_RATIO * smallest < DEFAULT_RESOLUTION:

@@ -133,7 +133,7 @@ class _WorkUnpickler(pickle.Unpickler):
 
 
 def load_definition(pickled: bytes) -> WorkDefinition:
-    """Return a pickled `WorkDefinition`.
+    """Unpickle a `WorkDefinition`.
 
     Raises:
         StudyError: If this process cannot import the function of a metric from its module.
@@ -158,6 +158,7 @@ class _ThreadCache(threading.local):
         Raises:
             StudyError: If package versions differ from those that the definition states, or the
                 function of a metric cannot be imported.
+            ModuleNotFoundError: If the module of such a function does not exist.
         """
         if pickled not in self.made:
             self.made.clear()  # a thread works on one study at a time
@@ -278,8 +279,8 @@ def confirm_ready(work: bytes) -> bool:
 def has_main_file() -> bool:
     """Return whether a new process can import the main program, as *spawn* does.
 
-    False if the program is read from standard input: its name ``<stdin>`` is no file. A notebook
-    has no name, and is not imported.
+    False if the program is read from standard input: its name ``<stdin>`` is no file. True for a
+    notebook, which has no name and is not imported.
     """
     main = sys.modules["__main__"]
     file = getattr(main, "__file__", None)
@@ -478,7 +479,8 @@ class WorkerPool:
         An executor of the caller is not checked.
 
         Raises:
-            StudyError: If a process ends during startup, or cannot import a metric.
+            StudyError: If a process ends during startup, or cannot import a metric or the main
+                program.
         """
         if self._given_executor is None:
             if not has_main_file():

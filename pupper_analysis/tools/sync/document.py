@@ -173,8 +173,8 @@ def _find_better_side(sync: Sync) -> str:
 def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
     """Return the number of differences whose value in a file is probably a placeholder.
 
-    A mass is also a placeholder if at least three links have it in this file, and these links have
-    more than one mass in the other file.
+    A mass is also a placeholder if at least three of the differing links have it in this file, and
+    these links have more than one mass in the other file.
     """
     by_mass: dict[object, list[object]] = {}
     for difference in differences:

@@ -88,7 +88,10 @@ action if a network without states has several outputs, such as standard deviati
 
 
 def list_action_outputs(file: OnnxFile) -> list[str]:
-    """Return the outputs of a network; only the action if a network without states has several."""
+    """Return the outputs of a network.
+
+    Of several outputs of a network without states, only those in `_ACTION_NAMES`, if any.
+    """
     outputs = list(file.outputs)
     if len(file.inputs) == 1 and len(outputs) > 1:  # rl_games: mean, deviation and value
         outputs = [name for name in outputs if name in _ACTION_NAMES] or outputs
