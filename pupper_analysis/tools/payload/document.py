@@ -25,6 +25,8 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import (
+    TOUCH_CODE,
+    join_ground_touches,
     judged_document,
     name_only_format,
     qualify_verdict_word,
@@ -47,7 +49,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         limit,
         (view_block(robot, limit.stand, None), payload_table(limit), *_make_bound_plots(limit)),
         (payload_text(limit),),
-        limit=_describe_limiting_failure(limit),
+        limits=tuple(_list_limits(limit)),
         leading=map(doc.diagnostic_text, limit.weak_motors[:1]),
         number_first=True,
         details=(
@@ -155,14 +157,56 @@ def _format_point(limit: PayloadLimit) -> str:
     return ", ".join(f"{1e3 * value:.0f}" for value in limit.point)
 
 
-def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure that limits the payload, and of a larger bound.
+def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
+    """Yield texts of the failure that limits the payload, without compensation, and of the motors.
 
-    None if the payload depends on unknown torque limits.
+    Nothing if the payload depends on unknown torque limits.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
-        return None
-    name, following = next(
+        return
+    following = _find_following_bound(limit)
+    is_same = _fails_alone_alike(limit)
+    yield _describe_limiting_failure(limit, *following, alone_alike=is_same)
+    if limit.failures_alone and not is_same:
+        failure = join_ground_touches(limit.failures_alone)[0]
+        yield text("payload-alone-limited", failure=doc.diagnostic_text(failure))
+    if limit.binding != "motors" and following[0] != "motors":
+        yield from _describe_motor_utilisation(limit)
+
+
+def _fails_alone_alike(limit: PayloadLimit) -> bool:
+    """Return True if the same body touches the ground at the limits with and without feed-forward.
+
+    The limits are ``upper_bound`` and ``mass_by_commands_alone``.
+    """
+    touching = {
+        failure.subject.name
+        for failure in limit.failures_alone[:1]
+        if failure.code == TOUCH_CODE and failure.subject is not None
+    }
+    return limit.failure is Failure.GROUND and not touching.isdisjoint(limit.failing_parts)
+
+
+def _describe_motor_utilisation(limit: PayloadLimit) -> Iterator[doc.Words]:
+    """Yield the torque and the limit of the motor that is loaded most at the largest payload."""
+    shares = limit.motor_utilisation
+    if not np.isfinite(shares).any():
+        return
+    hardest = int(np.nanargmax(np.where(np.isfinite(shares), shares, -1.0)))
+    torque = abs(float(limit.joint_torques[hardest]))
+    if torque > 0:
+        yield text(
+            "payload-of-motors",
+            torque=format_number(torque, ".3g"),
+            limit=format_number(torque / float(shares[hardest]), ".3g"),
+            unit=limit.torque_units[hardest],
+            joint=doc.Name(limit.joint_names[hardest]),
+        )
+
+
+def _find_following_bound(limit: PayloadLimit) -> tuple[str, Bound | None]:
+    """Return name and value of the next larger finite bound with another failure, if any."""
+    return next(
         (
             (name, bound)
             for name, bound in limit.bounds.items()
@@ -170,11 +214,25 @@ def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
         ),
         ("", None),
     )
+
+
+def _describe_limiting_failure(
+    limit: PayloadLimit, name: str, following: Bound | None, *, alone_alike: bool
+) -> doc.Words:
+    """Return the text of the failure that limits the payload, and of a larger bound.
+
+    Args:
+        limit: Payload limit.
+        name: Name of the larger bound.
+        following: Larger bound; None if there is none.
+        alone_alike: Whether the same failure limits the payload without gravity compensation.
+    """
     alone = limit.passed and not math.isnan(limit.mass_by_commands_alone)
     return text(
         "payload-limited",
         mass=mass_text(limit.upper_bound),
-        alone=alone,
+        alone=alone and not alone_alike,
+        both=alone_alike,
         place=_format_point(limit) if alone and np.any(limit.point) else "",
         failure=_describe_failure(limit.failure, limit.failing_parts),
         next="" if following is None else mass_text(following.mass),

@@ -236,6 +236,10 @@ class PayloadLimit(Tabular):
             are additional.
         mass_by_commands_alone: Largest simulated payload with which the stance holds with position
             commands alone, without feed-forward torques [kg]; not a number if not computed.
+        failures_alone: Failures of the smallest simulated payload that does not hold with position
+            commands alone; empty if not computed.
+        motor_utilisation: (nu,) ratio of motor torque to torque limit in ``stand``; not a number
+            for an unknown limit.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("mass", "binding", "code")
@@ -265,6 +269,8 @@ class PayloadLimit(Tabular):
     weak_motors: tuple[Diagnostic, ...] = ()
     carried: float = field(default=0.0, metadata={"unit": "kg"})
     mass_by_commands_alone: float = field(default=math.nan, metadata={"unit": "kg"})
+    failures_alone: tuple[Diagnostic, ...] = ()
+    motor_utilisation: Array = field(default_factory=lambda: np.empty(0), metadata={"unit": "1"})
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
@@ -395,7 +401,8 @@ def payload_limit(
             SIMULATION_RTOL**2 * limit.upper_bound,
             SIMULATION_RTOL,
         )
-        limit = replace(limit, mass_by_commands_alone=mass)
+        failures = simulations.find_failures_alone(mass) or limit.verdict.failures_alone
+        limit = replace(limit, mass_by_commands_alone=mass, failures_alone=failures)
     return limit
 
 
@@ -464,6 +471,7 @@ def _make_payload_limit(
         joint_torques=loaded_stand.statics.joint_torques,
         torque_units=loaded_stand.statics.torque_units,
         contact_forces=loaded_stand.statics.contact_forces,
+        motor_utilisation=loaded_stand.statics.motor_utilisation,
         verdict=verdict,
         trial=simulations.simulate_nudged(verified_mass) if has_finite_limit else None,
     )
@@ -484,6 +492,7 @@ class _PayloadSimulations:
         self._kp, self._kd = kp, kd
         self._trials: dict[float, PayloadTrial] = {}
         self._verdicts: dict[float, Verdict] = {}
+        self._runs_alone: dict[float, StandVerification] = {}
 
     def simulate_nudged(self, mass: float) -> PayloadTrial:
         """Simulate the stance with a payload [kg] and nudges, until the first failure is known."""
@@ -529,9 +538,19 @@ class _PayloadSimulations:
             loaded, stand = solve_loaded_stand(self._robot, self._task, mass, self._place)
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
             return None
-        return verify_stand(
+        run = verify_stand(
             loaded, stand, feedforward=False, kp=self._kp, kd=self._kd, until_failure=True
         )
+        self._runs_alone[mass] = run
+        return run
+
+    def find_failures_alone(self, mass: float) -> tuple[Diagnostic, ...]:
+        """Return the failures of the next larger payload simulated with position commands alone.
+
+        Empty if no payload above ``mass`` [kg] was simulated.
+        """
+        larger = [other for other in self._runs_alone if other > mass]
+        return self._runs_alone[min(larger)].failures if larger else ()
 
     def holds(self, mass: float) -> bool:
         """Return True if a stand with a payload [kg] exists, and holds in simulation."""
