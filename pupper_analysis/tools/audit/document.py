@@ -7,6 +7,7 @@ CI systems, with the repairs as byte ranges.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -119,9 +120,13 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
     if not simulated and not is_published_name(audit.file):
         return None
     missing = [finding for finding in audit.findings if finding.rule == "mesh-missing"]
-    packages = (finding.diagnostic.values.get("package") for finding in missing)
-    if package := next(filter(None, packages), None):  # DIR is replaced by the user
-        return doc.NextStep("audit", ("--package", f"{package}=DIR"))
+    for values in (finding.diagnostic.values for finding in missing):
+        package, folder = values.get("package"), values.get("folder")
+        if package and folder:
+            found = os.path.relpath(Path(audit.file).parent / str(folder))
+            return doc.NextStep("audit", ("--package", f"{package}={found}"))
+        if package:
+            return doc.NextStep("audit", ("-v",))  # prints each missing file
     # Without meshes, a robot may lack its feet; `hold` needs no meshes.
     return doc.NextStep("stand" if audit.floating and not missing else "hold")
 

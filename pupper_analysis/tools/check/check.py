@@ -6,7 +6,7 @@ With a revision, changes since this revision are reported as well.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import ClassVar
@@ -129,6 +129,7 @@ class PairCheck(Result):
         notes: Assumptions, and ignored content.
         floating: Whether the MJCF, or else the URDF, has a free base, or a base with at least two
             limbs; None if the file cannot be read.
+        packages: {ROS package: folder} of the configuration.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("agree", "name")
@@ -140,6 +141,7 @@ class PairCheck(Result):
     known: int
     notes: tuple[Diagnostic, ...]
     floating: bool | None = None
+    packages: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +347,8 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
         else:
             remarks += list_guard_remarks(tool, found, pair, folder)
     names = tuple(relative_path(file, folder) for file in files)
-    return PairCheck(pair.name, names, agree, 0, 0, notes, floating), remarks
+    packages = {name: str(path) for name, path in pair.packages.items()}
+    return PairCheck(pair.name, names, agree, 0, 0, notes, floating, packages), remarks
 
 
 def _has_refusal(remarks: Iterable[Remark]) -> bool:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.next_step import complete_command
+from pupper_analysis.present.document import NextStep
 
 if TYPE_CHECKING:
     from pupper_analysis.present.document import Text
@@ -138,8 +138,7 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     try:
         return find_config(folder)
     except ConfigurationError as error:
-        place = "" if folder is None else f"{shlex.quote(str(folder))} "
-        error.add_note(f"{GENERATOR_NAME} check {place}--init")
+        error.add_note(_complete_check(folder, "--init"))
         raise
 
 
@@ -163,22 +162,34 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     if not is_folder(folder):
         missing = not path_exists(folder) or None
         raise ConfigurationError(str(folder), diagnose("check-needs-folder", missing=missing))
-    place = "" if folder == Path() else f"{shlex.quote(str(folder))} "
     try:
         path, pairs, singles = write_config(folder)
     except ConfigurationError as error:
         if path_exists(folder / CONFIG_NAME):
-            error.add_note(f"{GENERATOR_NAME} check {place}".rstrip())
+            error.add_note(_complete_check(folder))
         raise
     count = len(pairs) + len(singles)
     shared.print_text(text("config-written", path=str(path), count=count, pairs=len(pairs)))
-    groups = {"models-paired": pairs, "models-without-partner": singles}
+    groups: dict[str, Sequence[str]] = {"models-paired": pairs}
+    for lacking in ("mjcf", "urdf"):
+        groups[f"models-without-{lacking}"] = [
+            name for name, missing in singles.items() if missing == lacking
+        ]
     groups = {key: names for key, names in groups.items() if names}
     width = (MAX_ANSWER_WIDTH - 2) // max(len(groups), 1) - 2
     listed = [_shorten_list(key, names, width) for key, names in groups.items()]
     shared.print_text(join_words(listed, "semicolon"), indent=2)
-    line = f"{GENERATOR_NAME} check {place}".rstrip()
+    line = _complete_check(folder)
     shared.print_text(text("next-command", command=line), indent=2)
+
+
+def _complete_check(folder: Path | None, *options: str) -> str:
+    """Create the command line of `check` for a folder, with the typed language."""
+    words = () if folder in (None, Path()) else (str(folder),)
+    omitted = ("--init", "--config")
+    return complete_command(
+        NextStep("check", (*words, *options), robot_typed=False, omitted=omitted)
+    )
 
 
 def _shorten_list(key: str, names: Sequence[str], width: int) -> Text:

@@ -452,11 +452,12 @@ _CONFIG_HEADER: Final = """\
 """Comment at the top of a new configuration."""
 
 
-def write_config(folder: Path) -> tuple[Path, tuple[str, ...], tuple[str, ...]]:
+def write_config(folder: Path) -> tuple[Path, tuple[str, ...], dict[str, str]]:
     """Write a configuration that lists the models found in a folder and below.
 
     Returns:
-        Path of the file, names of the pairs of a URDF and an MJCF, and names of single files.
+        Path of the file, names of the pairs of a URDF and an MJCF, and {name of a single file:
+        missing format, ``urdf`` or ``mjcf``}.
 
     Raises:
         ConfigurationError: If there is a configuration already, or no model.
@@ -473,7 +474,12 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...], tuple[str, ...]]:
             "\n".join([_CONFIG_HEADER, *map(_format_pair, entries)]).encode(errors="replace")
         )
     pairs = tuple(entry["name"] for entry in entries if {"urdf", "mjcf"} <= entry.keys())
-    return path, pairs, tuple(entry["name"] for entry in entries if entry["name"] not in pairs)
+    singles = {
+        entry["name"]: "mjcf" if "urdf" in entry else "urdf"
+        for entry in entries
+        if entry["name"] not in pairs
+    }
+    return path, pairs, singles
 
 
 def _format_pair(entry: dict[str, str]) -> str:

@@ -128,38 +128,47 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     """Return the command to suggest next, such as ``audit`` of the first failing file, or None."""
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
-    folder = Path(check.config).parent
     if not check.failures:
         new = [one for one in check.remarks if not one.known and _is_audit_rule(one)]
         warned = [one for one in new if one.severity is Severity.WARNING]
         if warned:
-            return _run_on_files("audit", folder, (warned[0].file,))
+            return _run_on_files(check, "audit", (warned[0].file,))
         pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
         if pair is None:
             pair = next((pair for pair in check.pairs if pair.floating is not None), None)
         if pair is None:
             return None
         if len(pair.files) == 1:
-            return _run_on_files("stand" if pair.floating else "hold", folder, pair.files)
+            return _run_on_files(check, "stand" if pair.floating else "hold", pair.files)
         command = "crosscheck" if not pair.agree else "stand" if pair.floating else "hold"
-        return _run_on_files(command, folder, pair.files)
+        return _run_on_files(check, command, pair.files)
     first = check.remarks[0]
     if first.kind == REFUSED_KIND or _is_audit_rule(first):
-        step = _run_on_files("audit", folder, (first.file,))
+        step = _run_on_files(check, "audit", (first.file,))
         return replace(step, words=(*step.words, "--fix")) if first.repairable else step
     if first.check == "crosscheck":
         files = next(pair.files for pair in check.pairs if pair.name == first.pair)
-        return _run_on_files("crosscheck", folder, files)
+        return _run_on_files(check, "crosscheck", files)
     return None
 
 
-def _run_on_files(command: str, folder: Path, files: Iterable[str]) -> doc.NextStep:
-    """Return the suggestion to run a command on files.
+def _run_on_files(check: RepositoryCheck, command: str, files: Iterable[str]) -> doc.NextStep:
+    """Return the suggestion to run a command on files, with the ROS packages of the configuration.
 
-    The paths of ``files`` are relative to ``folder``, the folder of the configuration.
+    The paths of ``files`` are relative to the folder of the configuration.
     """
-    paths = (os.path.relpath(folder / file) for file in files)
-    return doc.NextStep(command, tuple(paths), robot_typed=False)
+    folder, named = Path(check.config).parent, tuple(files)
+    paths = [os.path.relpath(folder / file) for file in named]
+    packages = {
+        name: os.path.relpath(place)
+        for pair in check.pairs
+        if set(named) <= set(pair.files)
+        for name, place in pair.packages.items()
+    }
+    options = [
+        word for name, place in packages.items() for word in ("--package", f"{name}={place}")
+    ]
+    return doc.NextStep(command, (*paths, *options), robot_typed=False)
 
 
 def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:

@@ -7,6 +7,7 @@ whether the rules see the COLLADA meshes of a URDF turned.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,10 +71,40 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
                 first=names[0].rpartition("/")[2],
                 more=len(names) - 1 or None,
                 package=package or None,
+                folder=_find_package_folder(robot.file.path, names[0]) if package else None,
             )
         is_error = touches and not pointer and "://" not in names[0]
         first, severity = group[0], None if is_error else Severity.WARNING
         yield CheckFinding(kind, first.owner, message, place=first.place, severity=severity)
+
+
+_MAX_SEARCHED_FOLDERS = 1000
+"""Largest number of folders in which a missing package is searched. Chosen, not tuned: the search
+takes about 10 ms."""
+
+_NUM_SEARCHED_PARENTS = 2
+"""Number of folders, from the folder of a URDF upward, whose subfolders are searched for a missing package. Chosen, not
+tuned."""
+
+
+def _find_package_folder(urdf: Path, name: str) -> str | None:
+    """Return a folder that contains the mesh ``package://PACKAGE/...``, whatever the folder's name.
+
+    The subfolders of the folders above the URDF are searched, two levels deep. The path is relative
+    to the folder of the URDF; None if there is no such folder.
+    """
+    inside = name.removeprefix("package://").partition("/")[2]
+    home = urdf.absolute().parent
+    count = 0
+    for parent in (home, *home.parents)[:_NUM_SEARCHED_PARENTS]:
+        for pattern in ("*", "*/*"):
+            for folder in sorted(parent.glob(pattern)):
+                count += 1
+                if count > _MAX_SEARCHED_FOLDERS:
+                    return None
+                if (folder / inside).is_file():
+                    return Path(os.path.relpath(folder, home)).as_posix()
+    return None
 
 
 @dataclass(frozen=True)
