@@ -49,6 +49,12 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push")
 _COMMANDS_WITHOUT_WELDED_BASE = (*_COMMANDS_WITHOUT_WELDS, "workspace")
 """Commands that refuse a stance with ``--contact base=weld``."""
 
+def accepts_welded_base(command: click.Command) -> bool:
+    """Return True if a command accepts a robot with a fixed base, with ``--contact base=weld``."""
+    options = {option for param in command.params for option in param.opts}
+    return "--contact" in options and command.name not in _COMMANDS_WITHOUT_WELDED_BASE
+
+
 _WORDS_FOR_FIXED_BASE = {
     "fit": ("--log", "motion.csv"),
     "gains": ("--contact", "base=weld"),

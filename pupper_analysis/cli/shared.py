@@ -15,6 +15,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -34,6 +35,7 @@ from pupper_analysis.base.errors import (
     StanceUnreachableError,
     UnknownNameError,
 )
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import current_language, current_run, ensure_run, register_input
@@ -457,7 +459,7 @@ class Command(click.Command):
             option = self._find_typed_option(context, error.field)
             return ConfigurationError(option, problem) if option else None
         if isinstance(problem, Diagnostic) and "robot" in problem.values:
-            where = error.where
+            where, problem = error.where, self._add_command(problem)
             return PupperAnalysisError(
                 diagnose("error-at", where=where, what=problem) if where else problem
             )
@@ -465,6 +467,19 @@ class Command(click.Command):
 
         words = list_typed_robot(context)
         return ConfigurationError(" ".join(words), problem) if words else None
+
+    def _add_command(self, problem: Diagnostic) -> Diagnostic:
+        """Add to the message about a fixed base whether this command accepts a welded base."""
+        if problem.code != "base-is-fixed" or not problem.values.get("advised"):
+            return problem
+        from pupper_analysis.cli.next_step import accepts_welded_base
+
+        welded = accepts_welded_base(self)
+        values = {**problem.values, "command": self.name, "plain": None}
+        placed = welded and self.name == "payload"  # a payload on a welded base loads no motor
+        values |= {"welded": welded, "placed": placed, "refused": not welded}
+        values["advised"] = not welded
+        return replace(problem, values=FrozenDict(values))
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:
         """Return the typed option, such as ``--payload``, that set a function's argument; else "".

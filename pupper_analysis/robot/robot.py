@@ -767,6 +767,7 @@ class Robot(EngineModels):
                 why=why,
                 option=option,
                 advised=option and why is None,
+                plain=why is None,
                 **values,
             )
             raise ConfigurationError("robot", problem)

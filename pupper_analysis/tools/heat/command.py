@@ -89,11 +89,12 @@ def command(
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None)
-    _check_base(robot, motors)  # before the motors: no motor makes a fixed base stand
+    _check_base(robot, motors, limit)  # before the motors: no motor makes a fixed base stand
     assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:
         error = ConfigurationError("--motor", diagnose("motor-not-given"))
-        error.add_note(complete_motor_command((_EXAMPLE_MOTOR,), robot))
+        words = _propose_limit((_EXAMPLE_MOTOR,), limit)
+        error.add_note(complete_motor_command((_EXAMPLE_MOTOR,), robot, words))
         raise error
     with shared.show_progress("computing the heat of the motors"):
         result = study_heat(
@@ -118,7 +119,20 @@ _EXAMPLE_MOTOR = "steadywin-gim4305-10"
 """Motor in the proposed command if no motor is given. Chosen, not tuned."""
 
 
-def _check_base(robot: Robot, motors: tuple[str, ...]) -> None:
+def _propose_limit(texts: tuple[str, ...], limit: float | None) -> tuple[str, ...]:
+    """Return ``--limit`` with an example [degC] if a motor of ``--motor`` has no known limit."""
+    from pupper_analysis.base.errors import PupperAnalysisError
+    from pupper_analysis.models.motors.reading import find_motor
+    from pupper_analysis.tools.heat.document import EXAMPLE_LIMIT
+
+    try:
+        limits = [find_motor(text.rpartition("=")[2]).limit_temperature for text in texts]
+    except PupperAnalysisError:  # the proposed command refuses the motor
+        return ()
+    return ("--limit", f"{EXAMPLE_LIMIT:g}") if limit is None and None in limits else ()
+
+
+def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> None:
     """Raise an error if the base is fixed, with the command that welds the base if possible.
 
     The command contains a motor for the hinges of the robot; an example if no motor is given.
@@ -137,8 +151,8 @@ def _check_base(robot: Robot, motors: tuple[str, ...]) -> None:
         ):
             with_contacts(robot, {"base": Weld()})  # refuses a base that cannot be welded
             texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
-            weld = ("--contact", "base=weld")
-            error.add_note(complete_motor_command(texts, robot, weld))
+            words = ("--contact", "base=weld", *_propose_limit(texts, limit))
+            error.add_note(complete_motor_command(texts, robot, words))
         raise
 
 

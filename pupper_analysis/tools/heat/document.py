@@ -31,7 +31,7 @@ limit. With limits and a mark, more curves would have equal styles. Chosen, not 
 _LIMIT_TEMPERATURE = "limit_temperature"
 """Name of the largest permitted temperature of the winding in `MotorHeat.unknown`."""
 
-_EXAMPLE_LIMIT = 100.0
+EXAMPLE_LIMIT = 100.0
 """Example of a limit temperature [degC] in the command that the report proposes if the data of a
 motor lack the limit. Chosen, not tuned.
 """
@@ -93,7 +93,7 @@ def _select_next_step(study: HeatStudy) -> NextStep:
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
     if _lacks_limit_only(study):
-        return NextStep("heat", ("--limit", f"{_EXAMPLE_LIMIT:g}"))
+        return NextStep("heat", ("--limit", f"{EXAMPLE_LIMIT:g}"))
     if any(motor.unknown and motor.torque for motor in study.motors):
         return NextStep("heat", ("--list-motors",), robot_typed=False, omitted=("*",))
     return NextStep("payload" if study.passed else "stand")
@@ -120,7 +120,7 @@ def _describe_temperature_without_limit(study: HeatStudy) -> Iterable[doc.Words]
         torque=f"{abs(first.torque):.2f}",
         loss="" if first.loss is None else f"{first.loss:.3g}",
         ambient=_format_ambient(study),
-        example=f"{_EXAMPLE_LIMIT:g}",
+        example=f"{EXAMPLE_LIMIT:g}",
     )
 
 
