@@ -1086,6 +1086,11 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
         ):
             foreign.append(name)
     if foreign:
+        changes = {
+            name: case.second.bodies[name].mass / case.first.bodies[name].mass - 1
+            for name in foreign
+        }
+        foreign.sort(key=lambda name: -round(abs(changes[name]), 9))
         links = [case.first.bodies[name].link or name for name in foreign]
         yield PatternFinding(
             "inertial",
@@ -1094,6 +1099,7 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
                 bodies=links,
                 one=Quantity(case.first.bodies[foreign[0]].mass, "kg"),
                 two=Quantity(case.second.bodies[foreign[0]].mass, "kg"),
+                change=Quantity(changes[foreign[0]], "1"),
             ),
             {(kind, name) for kind in kinds for name in foreign},
         )

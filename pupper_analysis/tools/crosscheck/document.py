@@ -224,6 +224,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         findings=(
             doc.diagnostic_text(comparison.main_problem),
             *((extent,) if extent_is_short else ()),
+            *_describe_largest_mass_change(comparison),
             *refusal,
             *(() if comparison.complete else explained),
         ),
@@ -277,6 +278,34 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
         return found  # line 1 contains no cause, or the only cause
     cause = doc.diagnostic_text(others[0])
     return text("differences-of-another-cause", differences=found, cause=cause)
+
+
+def _describe_largest_mass_change(comparison: Comparison) -> Iterable[doc.Text]:
+    """Yield the link whose mass differs most, unless the first line states a mass.
+
+    The difference is relative to the mass in the URDF.
+    """
+    changes = {
+        difference.element: difference.mjcf / difference.urdf - 1
+        for difference in comparison.differences
+        if difference.kind == "mass"
+        and isinstance(difference.urdf, float | int)
+        and isinstance(difference.mjcf, float | int)
+        and difference.urdf > 0
+    }
+    first = comparison.main_problem
+    if not changes or first.code in _CODES_WITH_MASS or first.values.get("kind") == "mass":
+        return
+    link = max(changes, key=lambda name: abs(changes[name]))
+    if abs(changes[link]) >= MIN_PRINTED_MASS_CHANGE:
+        yield text("largest-mass-change", link=doc.Name(link), change=f"{100 * changes[link]:+.3g} %")
+
+
+MIN_PRINTED_MASS_CHANGE = 0.01
+"""Smallest relative difference of a mass that the short answer states [1]. Chosen, not tuned."""
+
+_CODES_WITH_MASS = ("inertials-of-another-robot", "links-lacking")
+"""Codes of causes whose text states a mass."""
 
 
 def find_largest_effect(check: CrossCheck) -> tuple[str, float]:

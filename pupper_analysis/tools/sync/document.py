@@ -107,6 +107,10 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
             left=sync.left_by_side[side],
             other=other,
             more=sync.left_by_side[other],
+            count=len(sync.differences),
+            removed=len(sync.differences) - sync.left_by_side[side],
+            fewer=len(sync.differences) - sync.left_by_side[other],
+            equal=sync.left_by_side[side] == sync.left_by_side[other],
             kept=_describe_unwritten(sync.differences),
         )
     first = doc.diagnostic_text(sync.differences[0].diagnostic)
@@ -114,7 +118,7 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
 
 
 def _describe_unwritten(differences: Iterable[Difference]) -> doc.Text | None:
-    """Return the first difference of a kind that `sync` does not write, and the number of others.
+    """Return the first difference of a kind that `sync` does not write, and their number.
 
     None without such a difference.
     """
@@ -125,7 +129,7 @@ def _describe_unwritten(differences: Iterable[Difference]) -> doc.Text | None:
         "unwritten-differences",
         name=format_owner_name(unwritten[0]),
         distance=unwritten[0].diagnostic.values.get("distance"),
-        others=len(unwritten) - 1,
+        count=len(unwritten) if len(unwritten) > 1 else None,
     )
 
 
