@@ -2,7 +2,7 @@
 
 The short view omits, for example, blocks marked as detail, and the tables of a brief document. A
 document begins with up to three lines: verdict, limit or cause, and the next command. A last line
-counts the omitted findings, tables and notes.
+counts the omitted messages, findings, tables and notes.
 
 In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
 table is printed in parts that repeat the first column.
@@ -44,8 +44,8 @@ from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 100
 """Maximum width [characters] of each line of messages in a short answer. A message that is too
-wide is cut at the end of a clause; a message without such an end may be wider. In the second line,
-messages beyond the width are only counted. Chosen, not tuned.
+wide is cut at the end of a clause; a message without such an end may be wider. Messages beyond the
+width of the second line are only counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -177,7 +177,7 @@ def print_document(
     ``next_command`` is printed below the key figures. ``hidden_notes`` is the number of notes that
     the caller does not print.
     """
-    print_head(out, document, everything=everything)
+    omitted = print_head(out, document, everything=everything, counted=False)
     if next_command:
         _print_next_command(out, next_command)
     place = 0
@@ -190,7 +190,7 @@ def print_document(
     else:
         print_notes(out, document.notes, everything=everything)
     if not everything:
-        _print_left_out(out, document, hidden_notes)
+        _print_left_out(out, document, omitted + len(document.details), hidden_notes)
 
 
 def _print_next_command(out: SafeConsole, command: str) -> None:
@@ -216,10 +216,16 @@ def _is_left_out(document: Document, block: Block, place: int) -> bool:
     return block.detail or (document.brief and isinstance(block, Table))
 
 
-def print_head(out: SafeConsole, document: Document, *, everything: bool = False) -> None:
+def print_head(
+    out: SafeConsole, document: Document, *, everything: bool = False, counted: bool = True
+) -> int:
     """Print a document's verdict, title, failures and findings.
 
-    If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed.
+    If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed,
+    and if ``counted`` is True, the second line ends with the number of omitted messages.
+
+    Returns:
+        Number of omitted messages.
     """
     short, language = not everything, out.language
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
@@ -243,12 +249,13 @@ def print_head(out: SafeConsole, document: Document, *, everything: bool = False
         )
     _print_line(out, line)
     if short:
-        joined = _join_short_messages(messages[1:], language)
+        joined, omitted = _join_short_messages(messages[1:], language, counted=counted)
         if joined.plain:
             _print_line(out, joined, indent=2)
-        return
+        return omitted
     for message in messages[1:]:
         _print_line(out, Text("  ").append_text(_style_words(message, language)), indent=2)
+    return 0
 
 
 _MODEL_SUFFIX_PATTERN = re.compile(r"^([^+ ]+)\.(?:urdf|xml|mjcf)(?=$| \+ )", re.IGNORECASE)
@@ -260,23 +267,30 @@ def _drop_suffix(title: str) -> str:
     return _MODEL_SUFFIX_PATTERN.sub(r"\1", title)
 
 
-def _join_short_messages(messages: Sequence[Words], language: str) -> Text:
+def _join_short_messages(
+    messages: Sequence[Words], language: str, *, counted: bool
+) -> tuple[Text, int]:
     """Join the short forms of messages into a line of about `MAX_ANSWER_WIDTH` characters.
 
-    Messages that do not fit are counted.
+    Messages that do not fit are omitted; if ``counted`` is True, the line ends with their number.
+
+    Returns:
+        Line; number of omitted messages.
     """
     line, left = Text(), len(messages)
     semicolon = translate(text("semicolon"), language)
     for message in messages:
         part = _style_words(message, language, short=True)
-        more = f"{semicolon}{_describe_omitted(left - 1, language)}" if left > 1 else ""
+        is_last = left == 1 or not counted
+        more = "" if is_last else f"{semicolon}{_describe_omitted(left - 1, language)}"
         room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - cell_len(more)
         if line.plain and cell_len(part.plain) > room:
-            line.append(f"{semicolon}{_describe_omitted(left, language)}", "dim")
             break
         line.append(semicolon if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1
-    return line
+    if left and counted:
+        line.append(f"{semicolon}{_describe_omitted(left, language)}", "dim")
+    return line, left
 
 
 def _describe_omitted(count: int, language: str) -> str:
@@ -341,14 +355,18 @@ def print_notes(out: SafeConsole, notes: Sequence[Words], *, everything: bool = 
         _print_line(out, Text(translate(left, out.language), "yellow"))
 
 
-def _print_left_out(out: SafeConsole, document: Document, notes: int) -> None:
-    """Print how many findings, tables and notes the short view omits, and the option ``-v``."""
+def _print_left_out(out: SafeConsole, document: Document, lines: int, notes: int) -> None:
+    """Print how much the short view omits, and the option ``-v``.
+
+    ``lines`` is the number of omitted messages, ``notes`` the number of omitted notes.
+    """
     left, place = [], 0
     for block in document.blocks:
         place += isinstance(block, FileFinding)
         if _is_left_out(document, block, place):
             left.append(block)
     counts = {
+        "counted-lines": lines,
         "counted-findings": sum(isinstance(block, FileFinding) for block in left),
         "counted-tables": sum(isinstance(block, Table) for block in left),
         "counted-notes": notes,

@@ -502,14 +502,14 @@ def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     return causes if causes and verdict.with_feedforward is Ending.DISAGREES else failures
 
 
-_TOUCH_CODE = "body-touches-ground"
+TOUCH_CODE = "body-touches-ground"
 """Code of a simulation's failure: a body other than a foot touches the ground."""
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Replace several failures "body touches the ground" by one failure with the earliest time."""
     failures = tuple(failures)
-    touches = [one for one in failures if one.code == _TOUCH_CODE and not one.values.get("surface")]
+    touches = [one for one in failures if one.code == TOUCH_CODE and not one.values.get("surface")]
     names = [failure.subject.name for failure in touches if failure.subject is not None]
     if len(names) < 2:
         return failures

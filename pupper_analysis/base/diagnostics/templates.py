@@ -9,7 +9,7 @@ Syntax of a template:
 - ``{name!r}``: a text in quotes;
 - ``{names}``: a tuple, separated by commas. At most eight items are shown, and ``{names:3}`` shows
   at most three. An item that alone would be omitted is also shown. Two or more omitted items are
-  counted: "a, b, c and 2 more". The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``,
+  counted: "a, b, c and 2 more", or "a; b; 2 more failures" in a list of diagnostics. The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``,
   ", or " in ``{ways:,or}``, and " and " in ``{both:and}``. ``{masses:3|.2f}`` sets the format of
   each item;
 - ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: the name alone;
@@ -319,8 +319,12 @@ _SEPARATORS = {
 """{language: {separator in a list format: its text}}."""
 
 _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
-"""{language: template of a shortened list}: ``listed`` is the text of the listed items, ``left``
-the number of omitted items."""
+"""{language: template of a shortened list of names}: ``listed`` is the text of the listed items,
+``left`` the number of omitted items."""
+
+_OMITTED_FINDINGS = {"en": "{listed}; {left} more {noun}", "zh": "{listed}；另有 {left} 处{noun}"}  # noqa: RUF001
+"""{language: template of a shortened list of diagnostics}, whose items are sentences: ``noun`` says
+what is omitted (`_name_omitted_findings`)."""
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
@@ -448,9 +452,18 @@ class _TemplateFormatter(Formatter):
         text = _SEPARATORS[self.language][separator].join(
             self.format_field(item, item_format) for item in shown
         )
-        num_omitted = len(values) - len(shown)
-        return (
-            _OMITTED_ITEMS[self.language].format(listed=text, left=num_omitted)
-            if num_omitted
-            else text
-        )
+        omitted = values[len(shown) :]
+        if not omitted:
+            return text
+        if all(hasattr(item, "severity") for item in omitted):  # diagnostics
+            noun = _name_omitted_findings(omitted, self.language)
+            return _OMITTED_FINDINGS[self.language].format(
+                listed=text, left=len(omitted), noun=noun
+            )
+        return _OMITTED_ITEMS[self.language].format(listed=text, left=len(omitted))
+
+
+def _name_omitted_findings(findings: tuple[Any, ...], language: str) -> str:
+    """Return the noun for diagnostics that a list omits: failures if all are errors."""
+    kind = "failure" if all(item.severity == "error" for item in findings) else "finding"
+    return term(f"omitted {kind}" + ("s" if len(findings) != 1 else ""), language)

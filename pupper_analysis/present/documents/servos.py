@@ -53,6 +53,7 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
     units = servos.units
     bounded = most is not None and math.isfinite(most)
     over = exceeds_explicit_damping(servos)
+    low = least is not None and least > 1
     yield text(
         "servo-gains" if scales else "servo-factors",
         kp=format_number(one.kp, ".3g"),
@@ -62,8 +63,12 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
         least="" if least is None else f"{round_bound(least * kp, kp):g}",
         most=f"{round_bound(most * kd, kd):g}" if most is not None and bounded else "",
         added=bool(used.made),
+        low=low,
+        enough=least is not None and not low,
+        exceeded=over,
         implicit_over=over and implicit,
-        within=bounded and not (over and implicit),
+        over=over and not implicit,
+        within=bounded and not over,
         step=format_number(1e3 * servos.timestep, ".3g"),
         rate=f"{1 / servos.timestep:.4g}",
         implicit=servos.integrator if implicit else "",

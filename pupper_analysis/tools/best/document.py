@@ -122,10 +122,8 @@ def _make_search_line(study: BestStudy) -> doc.Text:
 def _shorten_coordinates(best: BestStance) -> str:
     """Return the coordinates of the best stance in short: mm and degrees.
 
-    For example, ``height 180.6 mm, feet moved ≤18 mm, x +13 mm, pitch +1 deg``, after a
-    statement that ``--json`` saves the stance. Coordinates that round to zero are omitted. If the
-    result is wider than `_MAX_COORDINATES_WIDTH`, the coordinates of the base are summarized by the
-    distance and by the largest angle.
+    For example, ``found: height 180.6 mm, feet moved ≤18 mm, x +13 mm, pitch +1 deg``. Coordinates
+    that round to zero are omitted.
     """
     feet: dict[str, list[float]] = {}
     for name, value in best.coordinates.items():
@@ -135,25 +133,11 @@ def _shorten_coordinates(best: BestStance) -> str:
     largest = 1e3 * max((math.hypot(*moved) for moved in feet.values()), default=0.0)
     parts = [f"height {1e3 * best.stand.task.height:.1f} mm"] if best.stand.task.height else []
     parts += [f"feet moved ≤{largest:.0f} mm"] if round(largest) else []
-    start = len(parts)
-    angles = ANGLE_COORDINATES
-    for names, scale, unit in (("x", "y"), 1e3, "mm"), (angles, math.degrees(1.0), "deg"):
+    for names, scale, unit in (("x", "y"), 1e3, "mm"), (ANGLE_COORDINATES, math.degrees(1.0), "deg"):
         shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
         moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
         parts += [f"{', '.join(moved)} {unit}"] if moved else []
-    found = ", ".join(parts)
-    if len(found) > _MAX_COORDINATES_WIDTH:
-        distance = 1e3 * math.hypot(*(best.coordinates.get(name, 0.0) for name in ("x", "y")))
-        angle = max(abs(math.degrees(best.coordinates.get(name, 0.0))) for name in angles)
-        moved = [f"{distance:.0f} mm"] if round(distance) else []
-        turned = [f"{angle:.0f} deg"] if round(angle) else []
-        found = ", ".join([*parts[:start], f"base {' and '.join((*moved, *turned))}"])
-    return f"found (--json saves it): {found}"
-
-
-_MAX_COORDINATES_WIDTH = 62
-"""Largest width of the listed coordinates in the short answer [characters]. The words before and
-after the coordinates take at most 38 of the 100 characters of a line."""
+    return f"found: {', '.join(parts)}"
 
 
 def _make_coordinate_table(best: BestStance) -> doc.Table:

@@ -41,7 +41,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
     """Create the report of the largest pushes of a stance."""
     unpushed = pushed.recovery.failures_without_push
     number, *limit = _describe_weakest_push(pushed)
-    answer = (text("it-does-not-stand-so"), number) if unpushed else (number,)
+    answer = (text("it-does-not-stand-so"), number) if unpushed else (number, *limit[1:])
     region = tuple(_describe_region(pushed))
     return judged_document(
         text("pushes"),
@@ -109,6 +109,9 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     yield text(
         "push-limited",
         failure=doc.diagnostic_text(recovery.weakest_failure),
+    )
+    yield text(
+        "push-tipping",
         tipping=doc.format_widened(float(min(recovery.tipping_estimate)), ".2f"),
     )
 

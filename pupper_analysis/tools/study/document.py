@@ -156,16 +156,28 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _describe_extreme_designs(outcome: StudyOutcome, metric: str, sense: str) -> doc.Text:
-    """Return the variables that all designs with the smallest ("min") or largest value share."""
+    """Return the variables of the designs with the smallest ("min") or largest value.
+
+    A variable that differs among these designs is named with its number of values, or as ``any``.
+    """
     rows = pareto_front(outcome.table, {metric: sense})
-    shared = [name for name in outcome.variables if rows[name].nunique() == 1]
-    count = len(rows)
+    counts = {name: rows[name].nunique() for name in outcome.variables}
+    shared = [name for name, count in counts.items() if count == 1]
+    others = [
+        text(
+            "extreme-design-values",
+            name=doc.Name(name),
+            count=count,
+            any=count == outcome.table[name].nunique(),
+        )
+        for name, count in counts.items()
+        if count > 1
+    ]
+    values = [doc.Name(_format_design(rows.iloc[0][shared], outcome.units))] if shared else []
     return text(
         "extreme-design",
-        values=doc.Name(_format_design(rows.iloc[0][shared], outcome.units)) if shared else "",
-        count=count,
-        ties=bool(shared) and count > 1,
-        all=not shared,
+        values=join_words([*values, *others]) if shared else "",
+        count=len(rows),
     )
 
 

@@ -66,7 +66,9 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             speed,
             *_describe_missing_steps(walk),
             *(() if fallen else _report_zero_torque_limits(walk)),
+            *_describe_tested_orders(walk),
             torque,
+            *_describe_policy_gains(walk),
             *(_describe_region(walk) if walk.within_region else ()),
             *describe_motor_energy(walk.gaits[0].energy),
             *_list_warnings(walk),
@@ -88,15 +90,34 @@ def _select_next_step(walk: Walk) -> doc.NextStep:
         return doc.NextStep("walk", ("--response",))
     if prevented & {"kp", "kd"}:
         return doc.NextStep("gains")
+    if _is_still(walk):
+        return doc.NextStep("walk", ("--response",))
     return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))
+
+
+def _is_still(walk: Walk) -> bool:
+    """Return True if the actions of the policy are zero in all runs."""
+    return all(gait.largest_action == 0 for gait in walk.gaits)
+
+
+def _describe_tested_orders(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the reason for the next command ``walk --orders``, if it is proposed."""
+    if "--orders" in _select_next_step(walk).words:
+        yield text("walk-test-orders")
+
+
+def _describe_policy_gains(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the range of kp and kd that the policy or its files state, if any."""
+    kp, kd = walk.contract.kp, walk.contract.kd
+    if kp is not None and kd is not None:
+        yield text("walk-gains", kp=_format_range(kp), kd=_format_range(kd))
 
 
 def _describe_missing_steps(walk: Walk) -> Iterable[doc.Words]:
     """Yield a text if no run tracks the command and all feet are on the ground in all samples."""
     gaits = walk.gaits
     if not any(gait.tracks or min(gait.duty.values(), default=0.0) < 1 for gait in gaits):
-        still = all(gait.largest_action == 0 for gait in gaits)
-        yield text("walk-without-steps", still=still, count=len(walk.joints))
+        yield text("walk-without-steps", still=_is_still(walk), count=len(walk.joints))
 
 
 def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:

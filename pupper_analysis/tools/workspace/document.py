@@ -66,8 +66,8 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
 
     For example, ``joints (all but x)``: the shorter of the list of directions and of the list of
     the other directions. Names of joints and links are omitted. If the result is wider than
-    `_MAX_LIMITS_WIDTH`, the first limit is ``mostly joints``; if this is too wide as well, all
-    directions are omitted.
+    `_MAX_LIMITS_WIDTH`, the first limit follows as ``else joints``; if this is too wide as
+    well, all directions are omitted.
     """
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
@@ -84,7 +84,7 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
         other = join_words(map(text, others)).en
         remaining = text("limit-everywhere", other=other).en
         parts.append(f"{limit_name} ({min(remaining, listed, key=len)})")
-    mostly = [text("limit-mostly", limit=names[0]).en, *parts[1:]] if len(names) > 1 else parts
+    mostly = [*parts[1:], text("limit-otherwise", limit=names[0]).en] if len(names) > 1 else parts
     where = text("limits-by-direction", limits=", ".join(names)).en
     forms = (", ".join(parts), ", ".join(mostly), where)
     return next((form for form in forms if len(form) <= _MAX_LIMITS_WIDTH), where)
