@@ -16,7 +16,13 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, format_pair
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
+from pupper_analysis.present.document import (
+    SEVERITY_MARKS,
+    get_english,
+    join_words,
+    text,
+    word,
+)
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import ANNOTATION_LEVELS, Annotation
@@ -51,7 +57,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     falls = tuple(_describe_falls(contract))
     worst = tuple(_describe_worst_disagreement(contract))
     has_findings = bool(contract.findings)
-    list_notes = tuple(map(doc.diagnostic_text, filter(_is_list_note, contract.notes)))
+    list_notes = tuple(_describe_unread_lists(contract))
     messages: tuple[doc.Words, ...]
     if uncompared and not unread:
         verdict = text("contract-not-compared")
@@ -69,7 +75,11 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     elif is_asymmetric:
         verdict = text("contract-asymmetric")
         messages = (_count_asymmetries(contract), *worst)
-    elif has_findings and any(f.severity is not Severity.NOTE for f in contract.findings):
+    elif (
+        has_findings
+        and not (uncompared and unread)
+        and any(f.severity is not Severity.NOTE for f in contract.findings)
+    ):
         verdict = text("contract-agree-but" if contract.passed else "contract-differ")
         messages = (_count_differences(contract), *worst, *unread)
     elif unread:
@@ -105,6 +115,14 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 def _is_list_note(note: Diagnostic) -> bool:
     """Return True for the note on lists of joint numbers that were not read."""
     return note.code == "contract-lists-not-read"
+
+
+def _describe_unread_lists(contract: Contract) -> Iterable[doc.Words]:
+    """Yield the notes on lists that were not read; the short form names the file by its suffix."""
+    for note in filter(_is_list_note, contract.notes):
+        place = get_english(_shorten_source(contract, str(note.values["file"])))
+        values = FrozenDict({**note.values, "place": place})
+        yield doc.diagnostic_text(replace(note, values=values))
 
 
 def _count_lists_not_read(contract: Contract) -> int:
@@ -153,13 +171,18 @@ def _count_differences(contract: Contract) -> doc.Words:
     """
     is_single = len(contract.sources) == 1
     compared = contract.facts if is_single else find_compared_numbers(contract.facts)
+    mirrored = sum(finding.probable_mistake == "mirror" for finding in contract.findings)
     return text(
         "contract-count",
-        findings=len(contract.findings),
+        differing=sum(
+            max(len(finding.joints), 1)
+            for finding in contract.findings
+            if finding.probable_mistake != "mirror"
+        ),
         facts=len(compared),
         several=not is_single or None,
         sources=len(contract.sources),
-        mirrored=sum(finding.probable_mistake == "mirror" for finding in contract.findings) or None,
+        mirrored=mirrored or None,
     )
 
 

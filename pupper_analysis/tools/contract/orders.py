@@ -12,6 +12,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -294,21 +295,21 @@ def assign_joints(
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
         for quantity in motor_order
     ]
-    list_notes = _describe_number_lists(source, order, len(model.order))
+    list_notes = _describe_number_lists(source, order, model.order)
     notes = (*order_notes, *motor_notes, *list_notes, *unread.values())
     return PlacedSource(source, facts, order, how, matched, unknown, notes, unread, unplaced)
 
 
 def _describe_number_lists(
-    source: JointSource, order: Sequence[str], num_model_joints: int
+    source: JointSource, order: Sequence[str], model_joints: Sequence[str]
 ) -> Iterator[Diagnostic]:
     """Yield a note on lists under unknown keys with as many numbers as the robot has joints.
 
-    ``order`` is the joint order of the source; empty if unknown.
+    ``order`` is the joint order of the source; empty if unknown. ``model_joints`` are the joints of
+    the robot.
     """
-    keys = [
-        key for key, count in source.number_lists.items() if count in (num_model_joints, len(order))
-    ]
+    lengths = (len(model_joints), len(order))
+    keys = [key for key, count in source.number_lists.items() if count in lengths]
     if keys:
         yield diagnose(
             "contract-lists-not-read",
@@ -316,7 +317,28 @@ def _describe_number_lists(
             keys=keys,
             count=source.number_lists[keys[0]],
             named=bool(source.order),
+            entry=f'quantity = "{_guess_quantity(keys[0])}", names = ["{keys[0]}"]',
+            line=_format_names_line(Path(source.path).suffix, model_joints[0]),
         )
+
+
+def _format_names_line(suffix: str, joint: str) -> str:
+    """Return the start of a line with joint names, in the syntax of a file with a suffix."""
+    if suffix.lower() == ".json":
+        return f'"joint_names": ["{joint}", ...]'
+    sign = " =" if suffix.lower() in (".py", ".toml") else ":"
+    return f'joint_names{sign} ["{joint}", ...]'
+
+
+_WORDS_OF_QUANTITIES = {"viscous": "damping", "damping": "damping", "friction": "friction"}
+"""{part of a key: quantity of this key}, in addition to the names of the quantities themselves; the
+first part that a key contains counts."""
+
+
+def _guess_quantity(key: str) -> str:
+    """Return the quantity that an unknown key probably states, for an example; else friction."""
+    words = _WORDS_OF_QUANTITIES | {name: name for name in QUANTITIES}
+    return next((words[part] for part in words if part in key.lower()), "friction")
 
 
 def _describe_unread_lists(

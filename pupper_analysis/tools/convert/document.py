@@ -69,7 +69,23 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
     command = "stand" if conversion.floating else "hold"
     # The new file is no xacro file.
     omitted = ("--xacro", "--xacro-arg")
-    return doc.NextStep(command, (conversion.output,), robot_typed=False, omitted=omitted)
+    words = (conversion.output, *_list_variant_gains(conversion))
+    return doc.NextStep(command, words, robot_typed=False, omitted=omitted)
+
+
+def _list_variant_gains(conversion: Conversion) -> tuple[str, ...]:
+    """Return the options for kp and kd of the variant's own MJCF, if its joints have equal gains.
+
+    Empty if the servos do not differ from this MJCF.
+    """
+    note = next(filter(_is_servo_note, conversion.notes), None)
+    spans = [] if note is None else [note.values["own_kp"], note.values["own_kd"]]
+    words: list[str] = []
+    for name, span in zip(("--kp", "--kd"), spans, strict=False):
+        if not isinstance(span, Diagnostic) or span.values["wide"]:
+            return ()
+        words += (name, f"{span.values['least']:.6g}")
+    return tuple(words)
 
 
 def _get_verdict_key(conversion: Conversion) -> str:

@@ -335,21 +335,26 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 candidates=str(plan.candidates),
                 determined=str(num_determined),
                 parameters=str(len(plan.expected)),
-                kinds=_describe_determined(plan),
+                kinds=_count_most_common_kind(plan),
+                angles=sum(len(stand.command) for stand in plan.stands),
             ),
             *_describe_known_mass(plan),
+            text("typed-bridge"),
         ),
         details=(text("how-to-take-stands"),),
         brief=True,
     )
 
 
-def _describe_determined(plan: StandPlan) -> str:
-    """Return the parameters that the measurements alone determine, by kind: ``12 zero, 3 com``."""
+def _count_most_common_kind(plan: StandPlan) -> str:
+    """Return the most common kind of determined parameters, such as ``8 of them kp``.
+
+    Parameters count that the measurements alone determine.
+    """
     counts = Counter(
         estimate.kind for estimate in plan.expected if estimate.determined is Determined.DATA
     )
-    return ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+    return ", ".join(f"{count} of them {kind}" for kind, count in counts.most_common(1))
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
