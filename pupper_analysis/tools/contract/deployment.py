@@ -25,7 +25,7 @@ from pupper_analysis.tools.contract.facts import (
     find_quantity_kind,
 )
 from pupper_analysis.tools.contract.findings import (
-    LENGTH_CODES,
+    LIST_CODES,
     find_disagreements,
     find_lost_quantities,
 )
@@ -204,7 +204,7 @@ def _check_lengths(placed: Sequence[PlacedSource], facts: Mapping[tuple[str, str
     for placed_source in placed:
         for quantity, message in placed_source.unread.items():
             if (
-                message.code in LENGTH_CODES
+                message.code in LIST_CODES
                 and quantity not in known
                 and find_quantity_kind(quantity).severity is not None
             ):

@@ -486,6 +486,11 @@ _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 YAML 1.1, but a number for C++ readers.
 """
 
+_OCTAL_PATTERN = re.compile(r"[-+]?0[0_]*[1-7][0-7_]+$")
+"""Pattern of an integer such as ``010``: 8 for readers of YAML 1.1, 10 for readers of YAML 1.2.
+Such a text is not read as a number.
+"""
+
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Pattern of a number as written, with groups for the decimals and the exponent."""
 
@@ -570,7 +575,7 @@ def parse_scalar(text: str, place: Place) -> LocatedValue:
         return LocatedValue(None, place)
     if text.lower() in ("true", "false"):
         return LocatedValue(text.lower() == "true", place)
-    if len(text) <= 64 and _FLOAT_PATTERN.match(text):
+    if len(text) <= 64 and _FLOAT_PATTERN.match(text) and not _OCTAL_PATTERN.match(text):
         plain = text.replace("_", "")
         if math.isfinite(number := float(plain)):  # 1e999 is a text: a double would be infinite
             return LocatedValue(number, place, count_decimals(plain))

@@ -48,6 +48,9 @@ _KIND_TOLERANCES = {
 """{quantity: relative tolerance of equal numbers}, as in the comparison of a URDF with an MJCF
 (`crosscheck`)."""
 
+_MOTOR_LIMITS = ("effort", "velocity")
+"""Limits of motors. An infinite limit counts as not stated."""
+
 _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Position limits of joints, which agree within the absolute tolerance of `crosscheck`."""
 
@@ -147,7 +150,8 @@ def find_disagreements(
         placed: Sources, sorted by precedence: the first that states a number is the reference.
         model: Joints of the robot.
     """
-    disagreements = [*_compare_orders(placed), *_compare_observations(placed)]
+    disagreements = [*_compare_orders(placed), *_compare_motors(placed)]
+    disagreements += _compare_observations(placed)
     disagreements += _compare_network_sizes(placed, model)
     quantities = [
         *QUANTITIES,
@@ -209,8 +213,9 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     ]
 
 
-LENGTH_CODES = ("contract-list-length", "contract-motors-length")
-"""Codes of messages about lists that have another length than the joint order of the source."""
+LIST_CODES = ("contract-list-length", "contract-motors-length", "contract-motors-unread")
+"""Codes of messages about lists that contradict the joint order of their own source, or themselves.
+These lists are reported even if no other source states the quantity."""
 
 
 def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> list[Diagnostic]:
@@ -239,7 +244,7 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
             message
             for quantity, message in source.unread.items()
             if any(key[0] == quantity for key in stated)
-            or (message.code in LENGTH_CODES and find_quantity_kind(quantity).severity is not None)
+            or (message.code in LIST_CODES and find_quantity_kind(quantity).severity is not None)
         ]
         for quantity, keys in source.unplaced.items():
             missing = {
@@ -406,6 +411,8 @@ def facts_agree(first: Fact, second: Fact) -> bool:
         second: Number of another source for the same quantity.
     """
     a, b = first.number, second.number
+    if not (math.isfinite(a) and math.isfinite(b)):  # any tolerance of infinity is infinite
+        return a == b
     difference = abs(a - b)
     if a == b or difference <= _KIND_TOLERANCES.get(first.quantity, _NUMBER_RTOL) * max(
         abs(a), abs(b)
@@ -491,8 +498,11 @@ def _compare_joint_quantity(
             # Several policies of one deployment need not agree.
             if role is first is Role.DEPLOYMENT and source.path == first_source.path:
                 continue
-            bounded = quantity != "effort" or math.isfinite(max(first_fact.number, fact.number))
-            if bounded and not facts_agree(first_fact, fact):
+            # An infinite limit of a motor is no limit.
+            is_stated = quantity not in _MOTOR_LIMITS or math.isfinite(
+                max(first_fact.number, fact.number)
+            )
+            if is_stated and not facts_agree(first_fact, fact):
                 key = (first, role, first_fact.source, fact.source)
                 pairs.setdefault(key, {})[joint] = (first_fact, fact)
     for (first, other, *_), differing in pairs.items():
@@ -544,9 +554,7 @@ def _group_by_values(
         first_fact, second_fact = differing[head]
         mistake, unit = _classify_mistake(quantity, a, b)
         meant = is_range_difference and lower * a <= lower * b + 1e-6
-        near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR_LIMIT_RTOL * max(
-            abs(a), abs(b)
-        )
+        near = quantity in _MOTOR_LIMITS and abs(b - a) <= _NEAR_LIMIT_RTOL * max(abs(a), abs(b))
         what = Term(quantity) if quantity in QUANTITIES else quantity
         names = (first_fact.source, second_fact.source)
         short_names = [name.partition(":")[0] for name in names]
@@ -779,6 +787,45 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
                 joints=moved_joints,
                 mistake="order",
             )
+
+
+def _compare_motors(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
+    """Yield a disagreement for each source that assigns joints to other motors than the first.
+
+    Only sources that name the joint of each motor are compared. The joints are sorted by motor
+    number, since numbers may start at 1, or belong to several buses.
+    """
+    mapping = [
+        (source.source, dict(zip(source.order, source.source.motors, strict=False)))
+        for source in placed
+        if source.how == "named" and source.source.motors
+    ]
+    for (first, numbers), (second, other_numbers) in ((mapping[0], one) for one in mapping[1:]):
+        shared = (numbers.keys() & other_numbers.keys()) - {""}  # names without match
+        pairs = zip(
+            sorted(shared, key=numbers.__getitem__),
+            sorted(shared, key=other_numbers.__getitem__),
+            strict=True,
+        )
+        moved = sorted((one for one, two in pairs if one != two), key=numbers.__getitem__)
+        if not moved:
+            continue
+        texts = [f"{numbers[joint]} → {other_numbers[joint]} ({joint})" for joint in moved]
+        message = diagnose(
+            "contract-motors-differ",
+            first=first.name,
+            second=second.name,
+            count=len(moved),
+            moved=tuple(texts[:6]),
+            more=max(0, len(texts) - 6) or None,
+        )
+        sides = [
+            source.make_fact(Statement("order", None, source.order_place or Place(source.path)))
+            for source in (first, second)
+        ]
+        yield _make_disagreement(
+            "order", message, (sides[0], sides[1]), _ORDER_KIND, joints=moved, mistake="order"
+        )
 
 
 def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:

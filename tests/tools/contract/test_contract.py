@@ -186,7 +186,7 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("given", [".inf", "-1", "0.5", "0", "x"])
-def test_invalid_motor_numbers_are_ignored_with_a_note(
+def test_invalid_motor_numbers_make_the_contract_incomplete(
     sources: dict[str, Path], given: str
 ) -> None:
     path = sources["deploy.yaml"]
@@ -194,8 +194,9 @@ def test_invalid_motor_numbers_are_ignored_with_a_note(
     numbers = format_list(range(12))
     assert numbers in text
     path.write_text(text.replace(numbers, format_list([*range(11), given])))
-    notes = [note.code for note in contract(path).notes]
-    assert "contract-motors-unread" in notes
+    found = contract(path)
+    assert "contract-motors-unread" in [message.code for message in found.unread]
+    assert not found.passed
 
 
 def test_names_are_matched_without_a_common_prefix_and_by_a_mapping(
@@ -1025,3 +1026,75 @@ def test_values_without_a_quoted_line_are_those_of_their_source(sources: dict[st
         "0.25 N m s/rad",
         "0.1 N m s/rad",
     ]
+
+
+def write_deployment(path: Path, **rows: object) -> Path:
+    """Writes a deployment that names the joints and states kp = 5, with changed or further rows."""
+    kept = {"joint_names": format_list(JOINTS), "kps": format_list([5.0] * 12), **rows}
+    path.write_text("".join(f"{key}: {row}\n" for key, row in kept.items()))
+    return path
+
+
+@pytest.mark.parametrize("table", ['{".*_3": 7.0, ".*_[12]": 5.0}', '{".*": 5.0, ".*_3": 7.0}'])
+def test_a_table_of_patterns_beside_joint_names_is_compared(tmp_path: Path, table: str) -> None:
+    """The list of joint names must not hide numbers whose keys are patterns."""
+    first = write_deployment(tmp_path / "first.yaml")
+    second = write_deployment(tmp_path / "second.yaml", kps=table)
+    (finding,) = contract(first, second).findings
+    assert (finding.kind, finding.values) == ("kp", (5.0, 7.0))
+    assert set(finding.joints) == {name for name in JOINTS if name.endswith("_3")}
+
+
+def test_a_table_with_other_names_than_the_joint_names_is_reported(tmp_path: Path) -> None:
+    """Numbers of keys that match no joint are lost for the comparison."""
+    first = write_deployment(tmp_path / "first.yaml")
+    table = ", ".join(f"{name[4:]}: 7.0" for name in JOINTS)
+    second = write_deployment(tmp_path / "second.yaml", kps=f"{{{table}}}")
+    found = contract(first, second)
+    assert not found.passed
+    assert {message.code for message in found.unread} == {"contract-quantity-lost"}
+
+
+@pytest.mark.parametrize(
+    ("key", "number", "is_reported"),
+    [("kps", 5.0, True), ("default_joint_pos", 0.0, True), ("torque_limits", 3.0, False),
+     ("velocity_limits", 9.0, False)],
+)  # fmt: skip
+def test_an_infinite_number_agrees_with_no_finite_number(
+    tmp_path: Path, key: str, number: float, is_reported: bool
+) -> None:
+    """An infinite limit of a motor is no limit; an infinite gain or angle is a mistake."""
+    first = write_deployment(tmp_path / "first.yaml", **{key: format_list([number] * 12)})
+    second = write_deployment(tmp_path / "second.yaml", **{key: format_list([".inf"] * 12)})
+    both = (first.name, second.name)
+    found = [one for one in contract(first, second).findings if one.sources == both]
+    assert bool(found) == is_reported
+    assert all(one.values == (number, math.inf) for one in found)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "moved"),
+    [([*range(12)], 0), ([*range(1, 13)], 0), ([3, 4, 5, 0, 1, 2, *range(6, 12)], 6),
+     ([*range(11), 11.5], None), ([0] * 12, None)],
+)  # fmt: skip
+def test_other_motor_numbers_of_named_joints_are_reported(
+    tmp_path: Path, numbers: list[float], moved: int | None
+) -> None:
+    """Reference: the exchanged motors. Numbers from 1 on are the same motors."""
+    first = write_deployment(tmp_path / "first.yaml", joint_ids_map=format_list(range(12)))
+    second = write_deployment(tmp_path / "second.yaml", joint_ids_map=format_list(numbers))
+    found = contract(first, second)
+    assert found.passed == (moved == 0)
+    assert [len(one.joints) for one in found.findings] == ([moved] if moved else [])
+    codes = {one.code for one in found.unread}
+    assert ("contract-motors-unread" in codes) == (moved is None)
+
+
+@pytest.mark.parametrize("text", ["010", "-0017", "0_12"])
+def test_an_octal_number_is_not_read_as_a_decimal_number(tmp_path: Path, text: str) -> None:
+    """PyYAML and yaml-cpp read 010 as 8; readers of YAML 1.2 read 10."""
+    first = write_deployment(tmp_path / "first.yaml")
+    second = write_deployment(tmp_path / "second.yaml", kps=format_list([text] * 12))
+    found = contract(first, second)
+    assert found.findings == ()
+    assert {one.code for one in found.unread} == {"contract-value-unread"}

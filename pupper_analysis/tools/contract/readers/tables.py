@@ -280,14 +280,15 @@ def _read_view(
     """
     root = view.tables[0]
     joint_names = view.find_first("joints")
-    indices, notes, unread_motors = _read_motors(name, view)
+    indices, unread_motors = _read_motors(name, view)
+    notes = list[Diagnostic]()
     unread = _describe_unread_values(view) | _describe_unread_terms(view) | unread_motors
     if isinstance(joint_names.value, list) and joint_names.value and not joint_names.texts:
         notes.append(diagnose("contract-names-unread", file=str(joint_names.place)))
     is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
     statements = [
         *sizes,
-        *_list_table_statements(view, joint_names.texts, indices, is_standing_table),
+        *_list_table_statements(view, indices, is_standing_table),
     ]
     statements += _list_reference_angles(view.get("observations", "terms"))
     action_tables = _list_position_tables(view.get("actions"))
@@ -327,19 +328,18 @@ def _read_view(
     )
 
 
-def _read_motors(
-    name: str, view: _View
-) -> tuple[list[int], list[Diagnostic], dict[str, Diagnostic]]:
+def _read_motors(name: str, view: _View) -> tuple[list[int], dict[str, Diagnostic]]:
     """Read the motor number of each joint, in the joint order of the tables.
 
     Returns:
-        Motor numbers, empty if none can be used; notes; {"motors": message} about a list of wrong
-        length, otherwise empty.
+        Motor numbers, empty if none can be used; {"motors": message} about numbers that cannot be
+        used, otherwise empty.
     """
     joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)
-    if motors.is_present and not indices:
-        return [], [diagnose("contract-motors-unread", file=name)], {}
+    if motors.items and not indices:
+        message = diagnose("contract-motors-unread", file=name, sources=motors.place.source)
+        return [], {"motors": message}
     if indices and joint_names.texts and len(indices) != len(joint_names.texts):
         message = diagnose(
             "contract-motors-length",
@@ -349,8 +349,8 @@ def _read_motors(
             order=str(joint_names.place),
             sources=motors.place.source,
         )
-        return [], [], {"motors": message}
-    return indices, [], {}
+        return [], {"motors": message}
+    return indices, {}
 
 
 def _list_command_scales(view: _View) -> Iterator[Statement]:
@@ -475,15 +475,13 @@ def _read_motor_numbers(motors: LocatedValue) -> list[int]:
 
 
 def _list_table_statements(
-    view: _View, order: Sequence[str], motors: list[int], is_standing_table: bool
+    view: _View, motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
     """Yield statements for the numbers under known keys, such as a joint's gain.
 
-    If the tables list joint names (``order``), numbers of other names are left out. ``motors`` are
-    the motor indices of the joints. With ``is_standing_table``, gains, efforts and default angles
-    are for standing up, and are skipped.
+    ``motors`` are the motor indices of the joints. With ``is_standing_table``, gains, efforts and
+    default angles are for standing up, and are skipped.
     """
-    valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
     # legged_rl_deploy, whose terms are in a table ``terms``, lists gains in the policy's order.
     in_motor_order = bool(motors) and not view.get("observations", "terms").table
@@ -512,10 +510,7 @@ def _list_table_statements(
                 elif is_per_motor:
                     continue
             # A text is the name of a parameter, not a number of a joint.
-            is_selection = statement.is_part or bool(rule.joints)
-            if statement.value is not None and (
-                statement.joint in valid_names or is_selection or not order
-            ):
+            if statement.value is not None:
                 yield statement
 
 
