@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import orjson
 
+from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Phrase,
@@ -179,6 +180,13 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
     if unknown or not (models or "urdf" in options or "mjcf" in options):
         problem = diagnose("no-files-of-a-robot", given=repr(dict(arguments)), known=_FILE_OPTIONS)
         raise ConfigurationError("robot", problem)
+    check_type("models", models, Sequence[str])
+    for name in ("urdf", "mjcf"):
+        check_type(name, options.get(name), str | Path | None)
+    packages = options.get("packages")
+    check_type("packages", packages, Mapping[str, str | Path] | None)
+    for name, folder in (packages or {}).items():
+        check_type(f"packages[{name!r}]", folder, str | Path)
     files = RobotFiles.from_arguments(*models, **options)
     robot = files.load()
     if "name" not in options:

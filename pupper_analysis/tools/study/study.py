@@ -183,6 +183,9 @@ class Study:
         check_type("samples", samples, int | None)
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
+        check_type("present_motor", present_motor, str | Motor | None)
+        check_type("minimise", minimise, str | Sequence[str])
+        check_type("maximise", maximise, str | Sequence[str])
         self.source = make_robot_source(robot)
         check_type("require", require, Mapping[str, Any] | None)
         self.motors: dict[float, Motor] = {}
@@ -220,7 +223,10 @@ class Study:
         self._check_columns("require", [item.column for item in self.requirements])
         self.minimise = (minimise,) if isinstance(minimise, str) else tuple(minimise)
         self.maximise = (maximise,) if isinstance(maximise, str) else tuple(maximise)
-        self._check_columns("minimise, maximise", [*self.minimise, *self.maximise])
+        objectives = [*self.minimise, *self.maximise]
+        self._check_columns("minimise, maximise", objectives)
+        if len(set(objectives)) < len(objectives):
+            raise ConfigurationError("minimise, maximise", diagnose("column-there-twice"))
 
     def _check_columns(self, argument: str, columns: Sequence[str]) -> None:
         """Check that columns belong to metrics of the study, or to variables other than motors."""

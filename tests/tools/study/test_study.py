@@ -204,6 +204,10 @@ def test_invalid_metric_is_refused(metric: Any, message: str) -> None:
         ("sed = 5\n", "keys of a study: robot, vary"),
         ("stand = { hight = 0.12 }\n", "unknown field of a stance; valid: height, roll"),
         ("robot = ", "not a TOML file"),
+        ("minimise = 3\n", "minimise: 3 is not a text or a sequence"),
+        ("maximise = [3]\n", r"maximise: \[3\] is not a text or a sequence"),
+        ('minimise = "servo_sag"\nmaximise = ["servo_sag"]\n', "name each column once"),
+        ("present_motor = 3\n", "present_motor: 3 is not a text"),
     ],
 )
 def test_files_that_are_no_study_are_refused(more: str, message: str, tmp_path: Path) -> None:
@@ -213,6 +217,24 @@ def test_files_that_are_no_study_are_refused(more: str, message: str, tmp_path: 
     (tmp_path / "study.toml").write_text(text + more)
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.Study.read(tmp_path / "study.toml")
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        ({"urdf": 3}, "urdf: 3 is not a text"),
+        ({"mjcf": ["a.xml"]}, "mjcf: .* is not a text"),
+        ({"models": "a.xml"}, "models: 'a.xml' is not a sequence"),
+        ({"models": [3]}, r"models: \[3\] is not a sequence"),
+        ({"mjcf": "a.xml", "packages": 3}, "packages: 3 is not a mapping"),
+        ({"mjcf": "a.xml", "packages": {"a": 3}}, r"packages\['a'\]: 3 is not a text"),
+    ],
+)
+def test_robot_tables_with_values_of_another_type_are_refused(
+    robot: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        pa.Study(robot, {"kp": [5]}, ["servo_sag"])
 
 
 # ----------------------------------------------------------------------------- numbers of models
