@@ -47,6 +47,11 @@ MAX_INWARD_STEP = 0.5
 relative to the smallest distance of a free foot from this centre along that axis. The bound of
 `MAX_OUTWARD_STEP` applies, too. Chosen, not tuned."""
 
+MIN_OFFSET_RATIO = 0.01
+"""Smallest offset of a foot from the centre of the feet along x or y, relative to the largest
+distance of a free foot from this centre, with which one direction along this axis is outward. With
+a smaller offset, as of a biped's feet along x, both directions are outward. Chosen, not tuned."""
+
 MAX_BASE_ROTATION = 0.3
 """Bound of the search: largest difference of the base's roll, pitch and yaw from the initial task
 [rad]. Chosen, not tuned."""
@@ -185,10 +190,9 @@ class StanceSpace:
             else 0
         )
         for foot in self.free:
-            signs = np.where(outwards[foot] > 0, 1.0, -1.0)
-            ends = np.sort([-signs * inwards, signs * MAX_OUTWARD_STEP * height.high], axis=0)
-            low += ends[0].tolist()
-            high += ends[1].tolist()
+            signs = outwards[foot]
+            low += np.where(signs > 0, -inwards, -MAX_OUTWARD_STEP * height.high).tolist()
+            high += np.where(signs < 0, inwards, MAX_OUTWARD_STEP * height.high).tolist()
         return np.minimum(low, self.start), np.maximum(high, self.start)
 
     def _compute_foot_offset(self, foot: str) -> Array:
@@ -203,8 +207,15 @@ class StanceSpace:
 
         Returns:
             {foot: -1, 0 or 1 along x and along y, shape (2,) [1]}; the centre is that of the feet.
+            0 if both directions lead away (`MIN_OFFSET_RATIO`).
         """
-        return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
+        offsets = {foot: self._compute_foot_offset(foot) for foot in self.free}
+        farthest = max((float(np.linalg.norm(offset)) for offset in offsets.values()), default=0.0)
+        smallest = MIN_OFFSET_RATIO * farthest
+        return {
+            foot: np.where(np.abs(offset) > smallest, np.sign(offset), 0.0)
+            for foot, offset in offsets.items()
+        }
 
     @property
     def is_symmetric(self) -> bool:
@@ -224,19 +235,23 @@ class StanceSpace:
 
         Returns:
             A direction per column, shape (n, k) [m or rad]: base coordinates (only height, x and
-            pitch if the stand is symmetric), then length of the stance, width of the front feet and
-            width of the rear feet, as far as these move a foot.
+            pitch if the stand is symmetric), then length of the stance, and width of the front, the
+            rear and the middle feet, as far as these move a foot. If all feet are in the middle, as
+            of a biped, the last direction moves left feet forward and right feet back.
         """
         keep = (0, 1, 4) if self.is_symmetric else range(len(BASE_COORDINATES))
         columns = [np.eye(len(self.start))[index] for index in keep]
         outwards = self.outward_signs()
-        for axis, side in ((0, 0.0), (1, 1.0), (1, -1.0)):
-            column = np.zeros(len(self.start))
-            for index, foot in enumerate(self.free):
-                if side in (0.0, outwards[foot][0]):
-                    column[len(BASE_COORDINATES) + 2 * index + axis] = outwards[foot][axis]
-            if column.any():
-                columns.append(column)
+        signs = np.array([outwards[foot] for foot in self.free]).reshape(-1, 2)
+        moves = [np.column_stack([signs[:, 0], np.zeros(len(signs))])]
+        for side in (1.0, -1.0, 0.0):
+            moves.append(
+                np.column_stack([np.zeros(len(signs)), signs[:, 1] * (signs[:, 0] == side)])
+            )
+        if not signs[:, 0].any():
+            moves.append(np.column_stack([signs[:, 1], np.zeros(len(signs))]))
+        base = np.zeros(len(BASE_COORDINATES))
+        columns += [np.append(base, move.ravel()) for move in moves if move.any()]
         return np.array(columns).T
 
     def make_task(self, coordinates: Array) -> StandTask:

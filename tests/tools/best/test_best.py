@@ -21,6 +21,7 @@ from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasibl
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE_COORDINATES, MIN_SINGULAR_VALUE_RATIO, StanceSpace
 from tests.support.engines import evaluate_mujoco, with_efforts
+from tests.support.legged import biped
 from tests.support.random_legged import draw_robot, write_robot
 from tests.support.variants import load
 
@@ -291,6 +292,38 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
 
 
 @pytest.mark.slow
+def load_biped(folder: Path) -> pa.Robot:
+    pair = biped(folder)
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def test_feet_of_a_biped_may_move_forward_and_back_and_sideways(tmp_path: Path) -> None:
+    """The feet stand side by side, so that both directions of x are outward. Reference: the bounds
+    of mirrored feet are mirror images."""
+    space = StanceSpace(load_biped(tmp_path), pa.StandTask())
+    low, high = (ends[len(BASE_COORDINATES) :].reshape(2, 2) for ends in (space.low, space.high))
+    assert low[:, 0] == pytest.approx(-high[:, 0])
+    assert high[:, 0].min() > 0.1
+    assert low[:, 1] == pytest.approx(-high[::-1, 1])
+    together = space.coupled_directions()[len(BASE_COORDINATES) :]
+    moves = {tuple(column) for column in together.T if column.any()}
+    side = np.sign(space._compute_foot_offset(space.free[0])[1])
+    assert moves == {(0.0, side, 0.0, -side), (side, 0.0, -side, 0.0)}
+
+
+@pytest.mark.slow
+def test_best_stance_of_a_biped_has_a_larger_margin(tmp_path: Path) -> None:
+    """Staggered feet move the nearest edges of the support polygon outwards. Reference: the
+    distance of the CoM from the hull of the soles."""
+    robot = load_biped(tmp_path)
+    found = best_stance(robot, "margin")
+    com = pa.Configuration(robot, found.stand.qpos).center_of_mass()[:2]
+    hull = ConvexHull(found.stand.corners(robot)[:, :2])
+    distance = float((-hull.equations[:, :2] @ com - hull.equations[:, 2]).min())
+    assert found.value == pytest.approx(distance, abs=1e-6)
+    assert found.value > 1.02 * found.nominal_value
+
+
 def test_best_stance_is_deterministic() -> None:
     robot = load("original")
     assert best_stance(robot).to_json() == best_stance(robot).to_json()
