@@ -74,6 +74,24 @@ def use_converged_solver(model: mujoco.MjModel) -> None:
     model.opt.iterations = max(int(model.opt.iterations), _MIN_CONVERGED_ITERATIONS)
 
 
+def remove_negligible_friction(model: mujoco.MjModel) -> None:
+    """Set ``condim`` 1 for contacts whose sliding friction is at most MuJoCo's minimum.
+
+    MuJoCo replaces a sliding friction below ``mjMINMU`` (1e-5) by this minimum. Such a contact
+    sticks for motions of nanometres only. A finite difference is larger, and mixes sticking and
+    slipping. Torsional and rolling friction of these contacts is removed, too. Models with the flag
+    ``override`` are not changed.
+    """
+    if model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE.value:
+        return
+    is_slippery = model.geom_friction[:, 0] <= mujoco.mjMINMU
+    # If two priorities are equal, MuJoCo combines the larger condim with the larger friction.
+    rough = np.flatnonzero((model.geom_condim == 1) & ~is_slippery)
+    is_combined = np.isin(model.geom_priority, model.geom_priority[rough])
+    model.geom_condim[is_slippery & ~is_combined] = 1
+    model.pair_dim[(model.pair_friction[:, :2] <= mujoco.mjMINMU).all(axis=1)] = 1
+
+
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
 """Bit of MuJoCo's enable flags that lets resting bodies sleep, ``<flag sleep="enable"/>``. MuJoCo
 does not simulate a sleeping body."""
@@ -102,8 +120,9 @@ def step_derivative(
     Computed by central differences (``mjd_transitionFD``; complete steps for the integrator RK4).
 
     Args:
-        model: MuJoCo model. During the call, the solver converges (`use_converged_solver`), and
-            sleeping is disabled.
+        model: MuJoCo model. During the call, the solver converges (`use_converged_solver`),
+            sleeping is disabled, and negligible friction is removed
+            (`remove_negligible_friction`).
         data: State; not changed, but derived quantities (for example accelerations) may be
             recomputed.
         difference: Finite-difference step [m, rad; m/s, rad/s].
@@ -115,7 +134,9 @@ def step_derivative(
     size = 2 * model.nv + model.na
     matrix, option, flags = np.zeros((size, size)), model.opt, int(model.opt.enableflags)
     solver = option.solver, option.tolerance, option.iterations
+    dimensions = model.geom_condim.copy(), model.pair_dim.copy()
     use_converged_solver(model)
+    remove_negligible_friction(model)
     # Sleeping bodies have no derivative: a change of their state wakes them, or is ignored.
     model.opt.enableflags = flags & ~SLEEP_FLAG
     if flags & SLEEP_FLAG:
@@ -128,6 +149,7 @@ def step_derivative(
     finally:
         option.solver, option.tolerance, option.iterations = solver
         option.enableflags = flags
+        model.geom_condim[:], model.pair_dim[:] = dimensions
     return matrix
 
 

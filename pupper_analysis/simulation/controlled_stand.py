@@ -34,6 +34,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.stability import (
     HOLD_DURATION,
     copy_data,
+    remove_negligible_friction,
     select_most_moving,
     use_converged_solver,
 )
@@ -207,7 +208,8 @@ class ControlledStand:
 
         x and x' are the deviations of (qpos, qvel, act) from the stand before and after the period.
         An earlier command u_late [N m] may still act at the beginning of a period, then the later
-        command u_prompt acts. Dry friction of joints and tendons is zero.
+        command u_prompt acts. Dry friction of joints and tendons is zero, and contacts with
+        MuJoCo's smallest friction are frictionless.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
@@ -216,6 +218,7 @@ class ControlledStand:
         model.dof_frictionloss[:] = 0.0
         model.tendon_frictionloss[:] = 0.0
         use_converged_solver(model)
+        remove_negligible_friction(model)
         model.opt.enableflags &= ~mujoco.mjtEnableBit.mjENBL_SLEEP.value
         size = 2 * model.nv + model.na
         state, inputs = np.zeros((size, size)), np.zeros((size, model.nu))

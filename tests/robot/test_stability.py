@@ -11,7 +11,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.stability import Mode, _evaluate_friction, step_derivative
+from pupper_analysis.robot.stability import (
+    Mode,
+    _evaluate_friction,
+    remove_negligible_friction,
+    step_derivative,
+)
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state, simulate_commands
 from pupper_analysis.simulation.stability import Nudge, measure_response
@@ -386,3 +391,47 @@ def test_derivative_of_an_unstable_model_prints_no_warning(
     )
     step_derivative(model, mujoco.MjData(model), 1e-6)
     assert capfd.readouterr().err == ""
+
+
+SLIPPERY_BLOCK = """<mujoco><option cone="elliptic" impratio="100"/><worldbody>
+<geom type="plane" size="0 0 1" condim="{floor}" friction="{rough} 0.005 0.0001"/>
+<body pos="0 0 0.0999"><freejoint/><geom type="box" size="0.2 0.2 0.1" mass="1" condim="{condim}"
+ friction="0 0.005 0.0001"/></body></worldbody></mujoco>"""
+"""Block on the ground: friction of the floor, ``condim`` of the floor and of the block."""
+
+
+@pytest.mark.parametrize("condim", [3, 4, 6])
+@pytest.mark.parametrize("difference", [1e-6, 1e-7])
+def test_derivative_on_friction_of_zero_equals_that_of_a_frictionless_contact(
+    condim: int, difference: float
+) -> None:
+    """MuJoCo replaces a friction of 0 by 1e-5, with which 1 kg sticks over nanometres only."""
+
+    def derive(condim: int) -> np.ndarray:
+        text = SLIPPERY_BLOCK.format(floor=1, rough=0, condim=condim)
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 1000)
+        before = model.geom_condim.copy()
+        found = step_derivative(model, data, difference)
+        assert np.array_equal(model.geom_condim, before)
+        return found
+
+    expected = derive(1)
+    assert expected[6:8, 6:8] == pytest.approx(np.eye(2), abs=1e-12)  # no force along the ground
+    np.testing.assert_allclose(derive(condim), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("floor", "rough", "condim", "dim"), [(1, 1, 3, 3), (3, 1, 3, 3), (3, 0, 3, 1), (1, 0, 6, 1)]
+)
+def test_negligible_friction_is_removed_from_slippery_contacts_only(
+    floor: int, rough: int, condim: int, dim: int
+) -> None:
+    """MuJoCo combines the larger ``condim`` with the larger friction, also of different geoms."""
+    text = SLIPPERY_BLOCK.format(floor=floor, rough=rough, condim=condim)
+    model = mujoco.MjModel.from_xml_string(text)
+    remove_negligible_friction(model)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.contact.dim.tolist() == [dim] * 4

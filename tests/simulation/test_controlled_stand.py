@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -256,3 +257,17 @@ def test_invalid_rates_and_delays_are_refused(rate: float | None, delay: float, 
     with pytest.raises(pa.ConfigurationError) as caught:
         _divide_period(0.002, rate, delay)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_stand_on_feet_without_friction_is_stable_as_in_mujoco(count: int) -> None:
+    """Reference: a simulation along the mode. MuJoCo replaces a friction of 0 by 1e-5."""
+    held = start_of("v3")
+    model = copy.copy(held.drive.model)
+    model.geom_friction[model.geom_bodyid == 0] = 0.0  # MuJoCo combines by the maximum
+    model.geom_friction[list(held.robot.foot_geoms)[:count]] = 0.0
+    loop = ControlledStand(replace(held, drive=replace(held.drive, model=model)))
+    kp, kd = np.full(12, 5.0), np.full(12, 0.1)
+    mode = loop.find_worst_mode(kp, kd)
+    assert mode.stable
+    assert loop.survives_simulation(kp, kd, duration=4.0, mode=mode)
