@@ -206,9 +206,9 @@ joint [rad, m]; second value for the displacement of the base, in units of
 another solution. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
-"""Stiffness of a numerical spring along the ground at contacts without friction
-(``feet="sliding"``), in units of robot weight / `EquilibriumScales.length`. Without the spring, the
-horizontal position of the robot would not be unique. Chosen, not tuned."""
+"""Stiffness of a numerical spring along the ground at contacts without friction, in units of robot
+weight / `EquilibriumScales.length`. Without the spring, the horizontal position and the yaw of the
+robot might not be unique. Chosen, not tuned."""
 
 _FRICTION_PENALTY_RATIO = 4.0
 """Penalty parameter rho of the slip law (`SagEquilibrium`), in units of robot weight /
@@ -250,10 +250,10 @@ class EquilibriumScales:
 
     @property
     def slip_stiffness(self) -> float:
-        """Stiffness [N/m] of a numerical spring on the slip of contacts with ``feet="sliding"``.
+        """Stiffness [N/m] of a numerical spring on the slip of contacts without friction.
 
-        Without friction, any horizontal position is an equilibrium; the spring makes the solution
-        unique.
+        Without friction, any horizontal position is an equilibrium; with friction at a single
+        point, any yaw. The spring makes the solution unique.
         """
         return _SLIP_STIFFNESS_RATIO * self.weight / self.length
 
@@ -332,8 +332,8 @@ class SagEquilibrium:
     The slip law depends on ``feet``. If ``feet`` is "pinned", the slip s is zero (apart from creep
     and compliance) for |f_t| <= mu f_n. Otherwise f_t = -mu f_n s / |s|. One equation contains both
     cases: f_t equals the projection of f_t - rho s onto the disc of radius mu f_n, for any rho > 0
-    (Alart and Curnier 1991). If ``feet`` is "sliding", f_t = 0, apart from a weak spring that makes
-    the position unique.
+    (Alart and Curnier 1991). If ``feet`` is "sliding" or mu = 0, f_t = 0, apart from a weak spring
+    that makes the position unique.
 
     Welded bodies stay in place. The equations contain only the balance along motions that the welds
     permit (``apply_welds``). The weld wrenches follow from the remaining balance. Dry friction of
@@ -523,8 +523,12 @@ class SagEquilibrium:
             places[:, :2] = forces[:, :2] + self.units.slip_stiffness * places[:, :2]
         slipping = self.find_slipping_contacts(forces, places)
         self._force_rows = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
+        is_frictionless = self._is_frictionless()
         for row, mu, augmented in slipping:
-            friction = mu * forces[row, 2] * augmented / (np.linalg.norm(augmented) or 1.0)
+            if is_frictionless[row]:
+                places[row, :2] = forces[row, :2] + self.units.slip_stiffness * places[row, :2]
+                continue
+            friction = mu * forces[row, 2] * augmented / np.linalg.norm(augmented)
             places[row, :2] = forces[row, :2] - friction
         sole, depths = self.is_sole_point(), places[:, 2].copy()
         places[:, 2] -= self.equilibrium_depths(forces)
@@ -532,6 +536,10 @@ class SagEquilibrium:
             away = self._normal_forces(depths)[:, 0] - forces[:, 2]
             places[sole, 2] = (away / self._force_scales())[sole]
         return np.concatenate([balance, places.ravel()])
+
+    def _is_frictionless(self) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the touching contacts whose friction is zero."""
+        return np.array([self.sliding_friction[foot] <= 0 for foot in self.anchors], dtype=bool)
 
     def is_sole_point(self) -> NDArray[np.bool_]:
         """Return a mask (n,) of the touching contacts that belong to a foot with several points."""
@@ -600,9 +608,16 @@ class SagEquilibrium:
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
+        is_frictionless = self._is_frictionless()
         for row, mu, augmented in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
-            length = float(np.linalg.norm(augmented)) or 1.0  # may be zero without friction
-            along, tangents = augmented / length, slice(3 * row, 3 * row + 2)
+            tangents = slice(3 * row, 3 * row + 2)
+            if is_frictionless[row]:
+                rates[row, :2] *= self.units.slip_stiffness
+                compliance = 1 + self.units.slip_stiffness * diagonal[row, 0]
+                by_force[tangents, tangents] = compliance * np.eye(2)
+                continue
+            length = float(np.linalg.norm(augmented))
+            along = augmented / length
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
             rates[row, :2] = self.units.friction_penalty * turn @ rates[row, :2]
             kept = 1 - self.units.friction_penalty * diagonal[row, 0]

@@ -154,9 +154,12 @@ def compute_smallest_stiffness(
             hessian += across[row].T @ stiff @ across[row]
     sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
-    if system.feet == "sliding":  # horizontal translations and yaw of the robot are ignored
-        held = np.eye(3, n)
-        held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
+    # Horizontal translations and yaw of the robot are ignored if no contact resists these motions.
+    yaw = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
+    if system.feet == "sliding":
+        held = np.vstack([np.eye(2, n), yaw])
+    elif len(sticks) == 1 and _can_yaw_freely(system):
+        held = np.vstack([held, yaw])
     if system.robot.fixed_parts:
         held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
@@ -168,6 +171,18 @@ def compute_smallest_stiffness(
     real, _, scale, *_ = lapack.dggev(*both, compute_vl=0, compute_vr=0)
     values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
     return float(values.min())
+
+
+def _can_yaw_freely(system: SagEquilibrium) -> bool:
+    """Return True if one touching point has friction, and nothing else resists a yaw about it.
+
+    The ground is then level, gravity is vertical, and the robot has no welds. Torsional friction,
+    which the equations ignore, is not considered.
+    """
+    robot, ground = system.robot, system.stand.task.ground
+    rough = sum(system.sliding_friction[foot] > 0 for foot in system.anchors)
+    is_level = not (ground.slope or ground.planes or robot.gravity[:2].any())
+    return rough == 1 and is_level and not robot.fixed_parts and not robot.is_base_fixed
 
 
 _MIN_SHARE_STEP = 1 / 64
@@ -347,14 +362,18 @@ class HomotopyPath:
         self._set_command(1.0)
 
     def _feet_about_to_slide(self) -> list[str]:
-        """Find the contact points whose tangential force is close to the friction limit."""
+        """Find the contact points whose tangential force is close to the friction limit.
+
+        A point without friction is never close to its limit: its tangential force is zero.
+        """
         if self.system.feet != "pinned":
             return []
         feet = []
         for foot, force in self.solution.forces.items():
             pressing, tangential = split_force(force.tolist(), GROUND_NORMAL)
             limit = self.system.sliding_friction[foot] * pressing
-            if tangential > _FRICTION_SHARE_OF_SLIDING * limit:
+            has_friction = self.system.sliding_friction[foot] > 0
+            if has_friction and tangential > _FRICTION_SHARE_OF_SLIDING * limit:
                 feet.append(foot)
         return feet
 
@@ -462,10 +481,11 @@ class SteadyState(Result):
             lowest natural frequency without damping.
         stable: Whether ``stiffness`` is positive.
         release_margin: Smallest friction reserve of a contact point, in robot weights, in the
-            overshoot after the feed-forward is removed in one step. To first order, the overshoot
-            is twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
-            slip or lift, and the robot may come to rest up to millimetres away from the
-            equilibrium. Infinite without contacts that have friction.
+            overshoot after the feed-forward is removed in one step. The reserve of a point without
+            friction is its normal force. To first order, the overshoot is twice as far from the
+            stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may slip or lift, and the
+            robot may come to rest up to millimetres away from the equilibrium. Infinite without
+            contacts.
         lasts: Time until creep ends the equilibrium or leads to a failure (s). Infinite if this
             time is longer than ``HOLD_DURATION``, or is not computed.
         failures: Reasons why the robot does not stay in this equilibrium; empty if no reason was
@@ -669,8 +689,8 @@ def release_margin(path: HomotopyPath) -> float:
 
     The reserve is (friction coefficient x normal force - tangential force) / weight. It is
     evaluated in the overshoot after a removal in one step. The forces are then 2 f - f_0, with the
-    forces f at the current equilibrium of the path and f_0 in the stand. Infinite without contacts
-    that have friction.
+    forces f at the current equilibrium of the path and f_0 in the stand. A contact without friction
+    can only lift: its reserve is the normal force / weight. Infinite without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
@@ -679,8 +699,8 @@ def release_margin(path: HomotopyPath) -> float:
     margins = []
     for foot, force in zip(feet, overshot.tolist(), strict=True):
         pressing, tangential = split_force(force, GROUND_NORMAL)
-        if robot.contacts[foot].sliding_friction > 0:
-            margins.append(robot.contacts[foot].sliding_friction * pressing - tangential)
+        friction = robot.contacts[foot].sliding_friction
+        margins.append(friction * pressing - tangential if friction > 0 else pressing)
     return float(min(margins, default=math.inf) / robot.usual_weight)
 
 

@@ -21,6 +21,8 @@ from pupper_analysis.stance.sag.steady_state import (
     steady_state,
 )
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution
 from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
 
@@ -55,9 +57,12 @@ def without_friction(robot: pa.Robot, *feet: str) -> pa.Robot:
     return replace(change_model(robot, change), contacts=contacts)
 
 
-@pytest.mark.parametrize("feet", [("FR",), ("FR", "RL")])
+@pytest.mark.parametrize("feet", [("FR",), ("FR", "RL"), ("FR", "RL", "FL")])
 def test_feet_without_friction_rest_as_in_mujoco(feet: tuple[str, ...]) -> None:
-    """Reference: MuJoCo, which moves by less than 10 um and 5e-4 rad in 0.25 s of creep."""
+    """Reference: MuJoCo, which moves by less than 10 um and 5e-4 rad in 0.25 s of creep.
+
+    With friction at one foot, any yaw about this foot is an equilibrium.
+    """
     robot = without_friction(load("v3"), *feet)
     stand = stand_of("v3")
     pose = steady_state(robot, stand)
@@ -84,6 +89,34 @@ def list_contact_forces(robot: pa.Robot, data: mujoco.MjData) -> list[np.ndarray
         forces.append(np.zeros(6))
         mujoco.mj_contactForce(robot.mj_model, data, index, forces[-1])
     return forces
+
+
+def test_release_margin_of_a_foot_without_friction_is_its_normal_force() -> None:
+    """Reference: 2 f - f_0, as such a foot can only lift; the other feet have larger reserves."""
+    robot = without_friction(load("v3"), "RR")
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(offset=(0.04, 0.04)))
+    before = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
+    pose = steady_state(robot, stand, kp=7.0)
+    overshot = 2 * pose.contact_forces["RR"][2] - before.contact_forces["RR"][2]
+    assert pose.release_margin == pytest.approx(overshot / robot.weight)
+    assert pose.release_margin < settle.RELEASE_MARGIN
+
+
+def test_feet_without_friction_slip_before_they_have_moved() -> None:
+    """Central differences at exactly zero slip and tangential force: no row is that of sticking."""
+    robot = without_friction(load("v3"), "FR", "RL")
+    system = SagEquilibrium(robot, stand_of("v3"), None, "pinned")
+    forces = np.tile([0.0, 0.0, robot.weight / 4], (4, 1))
+    rows = [row for row, *_ in system.find_slipping_contacts(forces, np.zeros((4, 3)))]
+    assert [tuple(system.anchors)[row] for row in rows] == ["FR", "RL"]
+    step = np.zeros_like(forces)
+    for row in rows:
+        step[row, :2] = 1e-3
+        ends = [system.residual(system.stand.qpos, forces + sign * step) for sign in (1, -1)]
+        change = (ends[0] - ends[1]) / 2
+        derivative = system.derivative(system.stand.qpos, forces)[:, robot.nv :]
+        np.testing.assert_allclose(change, derivative @ step.ravel(), atol=1e-12)
+        assert change[robot.nv + 3 * row] == pytest.approx(1e-3)  # N of force, not m of slip
 
 
 def test_steady_state_is_refused_if_no_foot_has_friction() -> None:
