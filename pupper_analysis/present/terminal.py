@@ -258,8 +258,11 @@ def print_head(
     return 0
 
 
-_MODEL_SUFFIX_PATTERN = re.compile(r"^([^+ ]+)\.(?:urdf|xml|mjcf)(?=$| \+ )", re.IGNORECASE)
-"""Name of a single model file at the start of a title, before its end or a payload."""
+_MODEL_SUFFIX_PATTERN = re.compile(r"^([^+ /]+)\.(?:urdf|xml|mjcf)(?=$| \+ )", re.IGNORECASE)
+"""Name of a single model file without folders at the start of a title, before its end or a payload.
+
+The names of several files in an answer have folders: their suffix is kept, as in the tables.
+"""
 
 
 def _drop_suffix(title: str) -> str:
@@ -302,7 +305,7 @@ _CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。、（]")  # noqa: RU
 """Place at which a message may end: a comma, semicolon or colon before a space, or a bracket; or
 one of the Chinese punctuation marks."""
 
-_PATH_PATTERN = re.compile(r"[/\\][^/\\]*\.\w+")
+_PATH_PATTERN = re.compile(r"[/\\][^/\\\s]*\.[A-Za-z]\w*")
 """End of a path with a folder: separator, name and suffix of a file."""
 
 _MIN_CUT_SHARE = 1 / 3

@@ -171,7 +171,10 @@ def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: P
 
 
 def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: Path) -> None:
-    """Reference: the package of the URI; `hold` was proposed for a legged robot."""
+    """Reference: the folder with the file of the URI, whatever its name; -v without such a folder.
+
+    A placeholder for the folder cannot be copied.
+    """
     file = tmp_path / "robot.urdf"
     mesh = '<visual><geometry><mesh filename="package://dog/foot.stl"/></geometry></visual></link>'
     text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
@@ -179,7 +182,14 @@ def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: P
     file.write_text(text.replace("</link>", mesh, 1))
     lines = answer("audit", "robot.urdf", folder=tmp_path).stdout.splitlines()
     assert lines[1].endswith("mesh foot.stl missing: --package dog=DIR")
-    assert lines[2] == "  next: pupper-analysis audit robot.urdf --package dog=DIR"
+    assert lines[2] == "  next: pupper-analysis audit robot.urdf -v"
+    folder = tmp_path / "stuff" / "a dog"
+    folder.mkdir(parents=True)
+    (folder / "foot.stl").write_text("")
+    lines = answer("audit", "robot.urdf", folder=tmp_path).stdout.splitlines()
+    assert lines[2] == "  next: pupper-analysis audit robot.urdf --package 'dog=stuff/a dog'"
+    _, *words = shlex.split(lines[2].removeprefix("  next: "))
+    assert "missing" not in answer(*words, folder=tmp_path).stdout
 
 
 @pytest.mark.parametrize(
@@ -187,7 +197,7 @@ def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: P
     [
         ("stand --payload 1kg --height 1m", "hold {path} --payload 1kg"),
         ("heat --motor mit-mini-cheetah",
-         "heat {path} --motor mit-mini-cheetah --contact base=weld"),
+         "heat {path} --motor mit-mini-cheetah --contact base=weld --limit 100"),
         ("gains --payload 1kg --delay 1ms",
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
         ("live --no-browser", "hold {path}"),

@@ -136,7 +136,7 @@ def test_answer_is_verdict_limit_and_next_command_and_details_follow_with_v() ->
         print_document(
             out, document, everything=everything, next_command=answer[2].removeprefix("  next: ")
         )
-    assert short.getvalue().splitlines() == [*answer, "  with -v: 1 table"]
+    assert short.getvalue().splitlines() == [*answer, "  with -v: 1 more line, 1 table"]
     lines = full.getvalue().splitlines()
     assert lines[:4] == [*answer[:2], "  height 3 mm", answer[2]]
     assert any(line.startswith("joint_0") for line in lines)
@@ -237,8 +237,8 @@ def test_answer_joins_the_short_forms_of_warnings_and_counts_the_remaining_warni
     short = printed(document, everything=False).splitlines()
     assert short == [
         "HOLDS robot: largest load 1 N m",
-        f"  first is short; {'second' * 5} is short; 1 more: -v",
-        "  with -v: 2 notes",
+        f"  first is short; {'second' * 5} is short",
+        "  with -v: 1 more line, 2 notes",
     ]
     assert all(len(line) <= MAX_ANSWER_WIDTH for line in short)
     full = printed(document).splitlines()

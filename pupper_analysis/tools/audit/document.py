@@ -8,6 +8,7 @@ CI systems, with the repairs as byte ranges.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -78,7 +79,7 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
 
 MAX_SUMMARY_WIDTH = 92
 """Largest width [characters] of a finding in a short answer, after "first: ". A longer message is
-replaced by the title of the rule."""
+replaced by its first clause, if this has a number and fits, and the title of the rule."""
 
 
 def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> doc.Text:
@@ -105,8 +106,16 @@ def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> 
         return finding
     title = get_rule_text(rule, "title").en
     is_name = any(map(str.isupper, title.partition(" ")[0][1:]))  # such as MuJoCo
-    start = title[:1] if is_name else title[:1].lower()
-    return replace(finding, short=f"{element.short}: {start}{title[1:]}")
+    title = f"{title[:1] if is_name else title[:1].lower()}{title[1:]}"
+    clause = _CLAUSE_END_PATTERN.split(message.short or message.en, maxsplit=1)[0]
+    with_number = f"{element.short}: {clause}: {title}"
+    if re.search(r"\d", clause) and len(with_number) <= MAX_SUMMARY_WIDTH:
+        return replace(finding, short=with_number)
+    return replace(finding, short=f"{element.short}: {title}")
+
+
+_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
+"""End of the first clause of a message."""
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:

@@ -288,7 +288,7 @@ def assign_joints(
     _add_policy_step(facts)
     unread = {
         **source.unread,
-        **_describe_unread_lists(source, unread_lists, order, len(model.order)),
+        **_describe_unread_lists(source, unread_lists, order, model.order),
     }
     unknown = _list_unknown_names(source, model, names, matched)
     motor_notes = [
@@ -345,11 +345,12 @@ def _describe_unread_lists(
     source: JointSource,
     lists: Mapping[str, Statement],
     order: Sequence[str],
-    num_model_joints: int,
+    model_joints: Sequence[str],
 ) -> dict[str, Diagnostic]:
     """Explain why lists of a source cannot be assigned to joints: {quantity: message}.
 
-    ``lists`` is {quantity: first number of the list}; ``order`` is the joint order of the source.
+    ``lists`` is {quantity: first number of the list}; ``order`` is the joint order of the source;
+    ``model_joints`` are the joints of the robot.
     """
     order_place = source.order_place or Place(source.path)
     messages = dict[str, Diagnostic]()
@@ -372,7 +373,8 @@ def _describe_unread_lists(
                 file=file,
                 what=what,
                 count=first.count,
-                joints=num_model_joints,
+                joints=len(model_joints),
+                line=_format_names_line(Path(source.path).suffix, model_joints[0]),
                 sources=first.place.source,
             )
     return messages

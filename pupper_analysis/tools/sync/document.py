@@ -104,9 +104,7 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
         yield text(
             "differences-left-by-side",
             side=side,
-            left=sync.left_by_side[side],
             other=other,
-            more=sync.left_by_side[other],
             count=len(sync.differences),
             removed=len(sync.differences) - sync.left_by_side[side],
             fewer=len(sync.differences) - sync.left_by_side[other],

@@ -179,4 +179,4 @@ def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> N
     path.write_text(lost[1])
     step = audit_document(replace(audit_model(path), floating=True, passed=True)).next_step
     assert step is not None
-    assert (step.command, step.words) == ("audit", ("--package", "lost=DIR"))
+    assert (step.command, step.words) == ("audit", ("-v",))
