@@ -49,6 +49,7 @@ _COMMANDS_WITHOUT_WELDS = ("best", "path", "push")
 _COMMANDS_WITHOUT_WELDED_BASE = (*_COMMANDS_WITHOUT_WELDS, "workspace")
 """Commands that refuse a stance with ``--contact base=weld``."""
 
+
 def accepts_welded_base(command: click.Command) -> bool:
     """Return True if a command accepts a robot with a fixed base, with ``--contact base=weld``."""
     options = {option for param in command.params for option in param.opts}

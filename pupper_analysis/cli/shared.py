@@ -1168,12 +1168,17 @@ def _spell_unit(kind: str, text: str) -> str:
     return f"{number[0].replace(',', '.')}{spelt[typed]}" if typed in spelt else ""
 
 
-def show_progress(what: str) -> AbstractContextManager[object]:
+def show_progress(what: str | Words) -> AbstractContextManager[object]:
     """Show a progress message while a context is active, if standard error is a terminal.
 
-    ``what`` is the message, for example ``simulating``.
+    ``what`` is the message: a term of the catalogue, such as ``making the page``, or a text.
     """
-    return _display_progress(what) if sys.stderr.isatty() else nullcontext()
+    if not sys.stderr.isatty():
+        return nullcontext()
+    from pupper_analysis.present.document import translate, word
+
+    message = word(what) if isinstance(what, str) else what
+    return _display_progress(translate(message, current_language()))
 
 
 @contextmanager

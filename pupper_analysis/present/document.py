@@ -25,6 +25,7 @@ from collections.abc import Iterable
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
+    CHINESE_SHORT_FORM,
     SHORT_FORM,
     fill_template,
     format_number,
@@ -49,11 +50,12 @@ def text(key: str, **values: object) -> Text:
     Raises:
         KeyError: If the catalogue has no such key.
     """
-    short = phrase(key, SHORT_FORM)
+    short, short_zh = phrase(key, SHORT_FORM), phrase(key, CHINESE_SHORT_FORM)
     return Text(
         _fill_phrase(key, values, "en"),
         lambda: _fill_phrase(key, values, "zh"),
-        short=_fill_short(short, values) if short else "",
+        short=_fill_short(short, values, "en") if short else "",
+        short_zh=_fill_short(short_zh, values, "zh") if short_zh else "",
     )
 
 
@@ -75,17 +77,24 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     return Text(
         between.en.join(str(_select_string(part, "en")) for part in listed),
         lambda: between.zh.join(str(_select_string(part, "zh")) for part in listed),
-        short=between.en.join(
-            str(_select_string(_select_short_form(part), "en")) for part in listed
-        )
-        if any(isinstance(part, Text) and part.short for part in listed)
-        else "",
+        short=_join_short_forms(listed, between.en, "en"),
+        short_zh=_join_short_forms(listed, between.zh, "zh"),
     )
 
 
-def _select_short_form(value: object) -> object:
-    """Return the short English form of a `Text` that has one; return any other value unchanged."""
-    return value.short if isinstance(value, Text) and value.short else value
+def _join_short_forms(parts: Sequence[Words], separator: str, language: str) -> str:
+    """Join the short forms of texts and names in a language; empty if no part has a short form."""
+    shown = [_select_short_form(part, language) for part in parts]
+    if all(form is part for form, part in zip(shown, parts, strict=True)):
+        return ""
+    return separator.join(str(_select_string(form, language)) for form in shown)
+
+
+def _select_short_form(value: object, language: str) -> object:
+    """Return the short form of a `Text` in a language, if any; return other values unchanged."""
+    if not isinstance(value, Text):
+        return value
+    return (value.short_zh if language == "zh" else value.short) or value
 
 
 def get_english(words: Words) -> str:
@@ -107,12 +116,13 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
     return fill_template(template, translated, language) if translated else template
 
 
-def _fill_short(template: str, values: Mapping[str, object]) -> str:
-    """Format a short English text from a template; inserted texts have their short form."""
+def _fill_short(template: str, values: Mapping[str, object], language: str) -> str:
+    """Format a short text in a language from a template; inserted texts have their short form."""
     translated = {
-        name: _select_string(_select_short_form(value), "en") for name, value in values.items()
+        name: _select_string(_select_short_form(value, language), language)
+        for name, value in values.items()
     }
-    return fill_template(template, translated, "en")
+    return fill_template(template, translated, language)
 
 
 def _select_string(value: object, language: str) -> object:
@@ -248,12 +258,14 @@ class Text:
         chinese: Simplified Chinese text, or a function that creates the text.
         mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (less weight) or empty.
         short: Short English form, for the short answer on a terminal; empty if there is none.
+        short_zh: Short Chinese form; empty if there is none.
     """
 
     en: str
     chinese: str | Callable[[], str] = field(compare=False)
     mark: str = ""
     short: str = ""
+    short_zh: str = field(default="", compare=False)
 
     @property
     def zh(self) -> str:

@@ -7,8 +7,8 @@ counts the omitted messages, findings, tables and notes.
 In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
 table is printed in parts that repeat the first column.
 
-The console contains the language of the texts. Chinese texts have no short form: the short view
-cuts the whole text at the end of a clause.
+The console contains the language of the texts. Most Chinese texts have no short form: the short
+view cuts the whole text at the end of a clause.
 """
 
 from __future__ import annotations
@@ -469,10 +469,12 @@ def _print_line(out: SafeConsole, line: Text, *, indent: int = 0, wrap: bool = T
 def _to_plain_text(words: Words, language: str, *, short: bool = False) -> str:
     """Return the text of words, with control characters escaped, without style.
 
-    ``short`` selects the short form of an English text that has one.
+    ``short`` selects the short form of a text that has one in the language.
     """
-    if short and language == "en" and isinstance(words, TranslatedText) and words.short:
-        return _escape_line(words.short)
+    if short and isinstance(words, TranslatedText):
+        form = words.short_zh if language == "zh" else words.short
+        if form:
+            return _escape_line(form)
     return _escape_line(translate(words, language))
 
 

@@ -85,9 +85,7 @@ def test_stand_prints_the_numbers_of_the_english_answer_in_chinese() -> None:
 def test_short_answer_is_cut_at_the_end_of_a_chinese_clause(tmp_path: Path) -> None:
     """English messages have short forms, Chinese messages are cut. Reference: the full message."""
     converting = ("convert", "v3", "-o", str(tmp_path / "new.xml"), "--force", "--language", "zh")
-    short, full = (
-        answer(*converting, *words).stdout.splitlines() for words in ((), ("-v",))
-    )
+    short, full = (answer(*converting, *words).stdout.splitlines() for words in ((), ("-v",)))
     assert all(cell_len(line) <= MAX_ANSWER_WIDTH for line in short if "下一步" not in line)
     assert short[3].startswith("  用 -v 可查看：另外 ")
     cut, mark, rest = short[1].partition(" …")

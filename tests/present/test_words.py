@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pupper_analysis.base.diagnostics import LANGUAGES, SHORT_FORM, phrase
+from pupper_analysis.base.diagnostics import CHINESE_SHORT_FORM, LANGUAGES, SHORT_FORM, phrase
 from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, list_entries
 from pupper_analysis.present.document import Name, join_words, text, word
 from pupper_analysis.tools.study.measures import METRICS
@@ -24,6 +24,9 @@ from tests.support.repository import ROOT
 
 SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
 """Parts of a text that are equal in both languages."""
+
+FORMS = (*LANGUAGES, SHORT_FORM, CHINESE_SHORT_FORM)
+"""Keys of a catalogue entry."""
 
 CHINESE_SYNONYMS = {
     "起始姿态": "初始姿态",
@@ -58,9 +61,11 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
     """Both texts use the same values; Chinese texts contain Chinese characters and punctuation."""
     assert words
     for key, both in words.items():
-        assert set(both) - {SHORT_FORM} == set(LANGUAGES), key
+        assert set(both) - {SHORT_FORM, CHINESE_SHORT_FORM} == set(LANGUAGES), key
         short = re.sub(r"\[!?\w+\?|\]", "", both.get(SHORT_FORM, ""))  # without conditions
         assert len(short) <= len(both["en"]), key
+        short = re.sub(r"\[!?\w+\?|\]", "", both.get(CHINESE_SHORT_FORM, ""))
+        assert len(short) <= len(both["zh"]), key
         english, chinese = both["en"], both["zh"]
         assert list_template_names(english) == list_template_names(chinese), key
         plain = SYMBOLS.sub("", english)
@@ -93,7 +98,7 @@ def test_entries_on_one_line_are_found_as_tomllib_reads_them(
     assert file in LINE_ENTRY_FILES
     assert set(list_entries(file)) == set(words)
     for key, texts in words.items():
-        found = {language: phrase(key, language) for language in (*LANGUAGES, SHORT_FORM)}
+        found = {language: phrase(key, language) for language in FORMS}
         assert {language: text for language, text in found.items() if text} == texts
 
 

@@ -4,6 +4,7 @@ A diagnostic is created by ``diagnose`` with a code of the catalogue. The texts,
 Simplified Chinese, are in ``catalogue/*.toml``, and in the ``words.toml`` of tools and formats.
 """
 
+from pupper_analysis.base.diagnostics.catalogue import CHINESE_SHORT_FORM as CHINESE_SHORT_FORM
 from pupper_analysis.base.diagnostics.catalogue import LANGUAGES as LANGUAGES
 from pupper_analysis.base.diagnostics.catalogue import SHORT_FORM as SHORT_FORM
 from pupper_analysis.base.diagnostics.catalogue import Entry as Entry

@@ -38,6 +38,10 @@ SHORT_FORM = "short"
 """Key of the short English form of a catalogue text, for short answers. Most texts have no short
 form."""
 
+CHINESE_SHORT_FORM = "short_zh"
+"""Key of the short Chinese form of a text of documents. Few texts have one: without, a short answer
+cuts the Chinese text at the end of a clause."""
+
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
 
@@ -121,12 +125,12 @@ def phrase(key: str, language: str) -> str:
 
     Args:
         key: Key of the text or term in a catalogue file.
-        language: ``"en"`` or ``"zh"``; or `SHORT_FORM` for the short English form. The English text
-            replaces a missing Chinese text.
+        language: ``"en"`` or ``"zh"``; or `SHORT_FORM` or `CHINESE_SHORT_FORM` for a short form.
+            The English text replaces a missing Chinese text.
 
     Returns:
         Template, whose placeholders the caller replaces with ``fill_template``. Empty for
-        `SHORT_FORM` if the text has no short form.
+        a short form that the text does not have.
 
     Raises:
         KeyError: If there is no entry with this key.
@@ -173,9 +177,9 @@ def word_files() -> Mapping[str, Path]:
 
 
 def _select_language(words: Mapping[str, str], language: str) -> str:
-    """Return the text in a language, else in English; a missing `SHORT_FORM` is empty."""
-    if language == SHORT_FORM:
-        return words.get(SHORT_FORM, "")
+    """Return the text in a language, else in English; a missing short form is empty."""
+    if language in (SHORT_FORM, CHINESE_SHORT_FORM):
+        return words.get(language, "")
     return words.get(language) or words["en"]
 
 

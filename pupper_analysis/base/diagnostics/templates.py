@@ -9,9 +9,9 @@ Syntax of a template:
 - ``{name!r}``: a text in quotes;
 - ``{names}``: a tuple, separated by commas. At most eight items are shown, and ``{names:3}`` shows
   at most three. An item that alone would be omitted is also shown. Two or more omitted items are
-  counted: "a, b, c and 2 more", or "a; b; 2 more failures" in a list of diagnostics. The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``,
-  ", or " in ``{ways:,or}``, and " and " in ``{both:and}``. ``{masses:3|.2f}`` sets the format of
-  each item;
+  counted: "a, b, c and 2 more", or "a; b; 2 more failures" in a list of diagnostics. The separator
+  is ";" in ``{parts:;}``, " or " in ``{ways:or}``, ", or " in ``{ways:,or}``, and " and " in
+  ``{both:and}``. ``{masses:3|.2f}`` sets the format of each item;
 - ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: the name alone;
 - ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, otherwise the
   second word;

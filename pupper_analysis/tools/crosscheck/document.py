@@ -298,7 +298,9 @@ def _describe_largest_mass_change(comparison: Comparison) -> Iterable[doc.Text]:
         return
     link = max(changes, key=lambda name: abs(changes[name]))
     if abs(changes[link]) >= MIN_PRINTED_MASS_CHANGE:
-        yield text("largest-mass-change", link=doc.Name(link), change=f"{100 * changes[link]:+.3g} %")
+        yield text(
+            "largest-mass-change", link=doc.Name(link), change=f"{100 * changes[link]:+.3g} %"
+        )
 
 
 MIN_PRINTED_MASS_CHANGE = 0.01

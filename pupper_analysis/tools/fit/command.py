@@ -632,7 +632,7 @@ def _record_policy(
     if bridge is None or output is None:
         option = "--bridge" if bridge is None else "--output"
         raise ConfigurationError(option, diagnose("listening-needs"))
-    with shared.show_progress(f"listening for {seconds:g} s"):
+    with shared.show_progress(text("fit-listening", seconds=f"{seconds:g}")):
         return record_policy(robot, bridge, seconds, output)
 
 

@@ -168,8 +168,7 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
     is_same = _fails_alone_alike(limit)
     yield _describe_limiting_failure(limit, *following, alone_alike=is_same)
     if limit.failures_alone and not is_same:
-        failure = join_ground_touches(limit.failures_alone)[0]
-        yield text("payload-alone-limited", failure=doc.diagnostic_text(failure))
+        yield text("payload-alone-limited", failure=_describe_failure_alone(limit))
     if limit.binding != "motors" and following[0] != "motors":
         yield from _describe_motor_utilisation(limit)
 
@@ -185,6 +184,16 @@ def _fails_alone_alike(limit: PayloadLimit) -> bool:
         if failure.code == TOUCH_CODE and failure.subject is not None
     }
     return limit.failure is Failure.GROUND and not touching.isdisjoint(limit.failing_parts)
+
+
+def _describe_failure_alone(limit: PayloadLimit) -> doc.Text:
+    """Return the text of the failure without gravity compensation; without time for the ground."""
+    failure = join_ground_touches(limit.failures_alone)[0]
+    touching = [one for one in limit.failures_alone if one.code == TOUCH_CODE]
+    names = tuple(one.subject.name for one in touching if one.subject is not None)
+    if limit.failures_alone[0].code == TOUCH_CODE and names:
+        return text("ground-touched-by", failure=word(Failure.GROUND.value), where=names)
+    return doc.diagnostic_text(failure)
 
 
 def _describe_motor_utilisation(limit: PayloadLimit) -> Iterator[doc.Words]:

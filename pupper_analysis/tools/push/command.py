@@ -64,6 +64,7 @@ def command(
     Exit status: 0 done, 1 a robot falls even without a push, or a motor cannot exert the torques at
     the joint speed, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.present.document import Name, text
     from pupper_analysis.pupper.variants import VARIANTS
     from pupper_analysis.tools.push.recovery import study_pushes
 
@@ -72,7 +73,8 @@ def command(
     fitted = [apply_motors(motors, robot, request.effort) for robot in robots]
     robots = [robot for robot, _ in fitted]
     kp, kd = request.gains(robots[0])
-    with shared.show_progress(f"pushing {', '.join(robot.name for robot in robots)}"):
+    names = [robot.name for robot in robots]
+    with shared.show_progress(text("push-progress", names=Name(", ".join(names)))):
         results = study_pushes(
             robots,
             task,

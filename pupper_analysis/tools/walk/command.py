@@ -32,7 +32,7 @@ from pupper_analysis.cli.stance_options import (
     parse_efforts,
     parse_motors,
 )
-from pupper_analysis.present.document import NextStep, diagnostic_text
+from pupper_analysis.present.document import Name, NextStep, diagnostic_text, text
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
@@ -202,7 +202,9 @@ def command(
     if seeds is not None:
         arguments["seeds"] = seeds
     result: Walk | TrackedIntervals | Orders | ResponseMap | TraceCheck
-    with shared.show_progress(f"{robot.name} walks by {loaded_policy.name}"):
+    with shared.show_progress(
+        text("walk-progress", robot=Name(robot.name), policy=Name(loaded_policy.name))
+    ):
         if orders:
             result = rank_orders(robot, loaded_policy, **arguments)
         elif response:

@@ -83,8 +83,8 @@ _MAX_SEARCHED_FOLDERS = 1000
 takes about 10 ms."""
 
 _NUM_SEARCHED_PARENTS = 2
-"""Number of folders, from the folder of a URDF upward, whose subfolders are searched for a missing package. Chosen, not
-tuned."""
+"""Number of folders, from the folder of a URDF upward, whose subfolders are searched for a missing
+package. Chosen, not tuned."""
 
 
 def _find_package_folder(urdf: Path, name: str) -> str | None:

@@ -35,6 +35,7 @@ from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.runs import current_language
 from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
@@ -235,7 +236,7 @@ def _record_missing_stands(
                     warning = diagnose(
                         "keep-a-hand-on-it", stand=stand.name, margin=margin, aside=deviation
                     )
-                    instructions.append(str(warning))
+                    instructions.append(_translate(warning))
                 position, swing = session.take_stand(stand, loads, instructions, len(taken))
             except _StandSkippedError as error:
                 findings.append(error.finding)
@@ -458,6 +459,11 @@ class _RecordingSession:
         raise _StandSkippedError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
 
 
+def _translate(message: Diagnostic) -> str:
+    """Return the text of a message in the language of the command."""
+    return message.text(current_language())
+
+
 def _list_instructions(
     stand: PlannedStand, loads: Mapping[str, Array], previous: PlannedStand | None
 ) -> Iterator[str]:
@@ -468,16 +474,16 @@ def _list_instructions(
     """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
-        yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))
+        yield _translate(diagnose("turn-the-robot", stand=stand.name, heading=heading))
     if (0.0 if previous is None else previous.added) != stand.added:
         if not loads:
-            yield str(diagnose("take-the-mass-off", stand=stand.name))
+            yield _translate(diagnose("take-the-mass-off", stand=stand.name))
         for link, (mass, *position) in loads.items():
             position_text, mass_quantity = (
                 ", ".join(f"{1e3 * coordinate:.4g}" for coordinate in position),
                 Quantity(mass, "kg"),
             )
-            yield str(
+            yield _translate(
                 diagnose(
                     "put-the-mass-on",
                     stand=stand.name,
@@ -486,7 +492,7 @@ def _list_instructions(
                     place=position_text,
                 )
             )
-    yield str(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
+    yield _translate(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:

@@ -15,11 +15,18 @@ import click
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.runs import current_language
 from pupper_analysis.base.units import READ_IN
+from pupper_analysis.present.document import Name, Text, text, translate
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
+
+
+def _format_line(words: Text) -> str:
+    """Return a text in the language of the command, indented."""
+    return f"  {translate(words, current_language())}"
 
 
 class Terminal:
@@ -38,9 +45,8 @@ class Terminal:
         """
         for line in instructions:
             click.echo(f"  {line}", err=True)
-        answer: str = click.prompt(
-            "  [Enter], or s to leave it out", default="", show_default=False, err=True
-        )
+        prompt = _format_line(text("record-enter"))
+        answer: str = click.prompt(prompt, default="", show_default=False, err=True)
         return answer.strip().lower() != "s"
 
     def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
@@ -52,15 +58,15 @@ class Terminal:
         foot_names = {foot.lower(): foot for foot in feet}
         while True:
             default = " ".join(planned) or "none"
-            answer: str = click.prompt(
-                "  which feet are up? (s leaves it out)", default=default, err=True
-            )
+            prompt = _format_line(text("record-feet"))
+            answer: str = click.prompt(prompt, default=default, err=True)
             words = answer.replace(",", " ").lower().split()
             if words == ["s"]:
                 return None
             if words == ["none"] or all(word in foot_names for word in words):
                 return tuple(foot_names[word] for word in words if word != "none")
-            click.echo(f"  {' '.join(feet)}, or none", err=True)
+            valid = text("record-valid-feet", feet=Name(" ".join(feet)))
+            click.echo(_format_line(valid), err=True)
 
     def stops(self) -> bool:
         """Return True if a key was pressed since the last read; False without a terminal."""
@@ -101,7 +107,12 @@ class TypedBridge(WallClock):
             Time [s]; joint positions in actuator order, shape (nu,) [rad, m].
         """
         positions = [
-            click.prompt(f"  position of {name} ({unit})", type=float, err=True) / scale
+            click.prompt(
+                _format_line(text("record-position", joint=Name(name), unit=unit)),
+                type=float,
+                err=True,
+            )
+            / scale
             for name, scale, unit in self._joints
         ]
         return self.now(), np.array(positions)
@@ -109,7 +120,9 @@ class TypedBridge(WallClock):
     def send(self, command: Array) -> None:
         """Print the commanded joint positions, shape (nu,) [rad, m], in deg or mm."""
         for (name, scale, unit), value in zip(self._joints, command.tolist(), strict=True):
-            click.echo(f"  command {name} {scale * value:.3f} {unit}", err=True)
+            shown = f"{scale * value:.3f}"
+            line = text("record-command", joint=Name(name), value=shown, unit=unit)
+            click.echo(_format_line(line), err=True)
 
     def close(self) -> None:
         """Do nothing: typed positions need no connection."""
