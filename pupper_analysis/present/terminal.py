@@ -177,7 +177,7 @@ def print_document(
     ``next_command`` is printed below the key figures. ``hidden_notes`` is the number of notes that
     the caller does not print.
     """
-    omitted = print_head(out, document, everything=everything, counted=False)
+    omitted = print_head(out, document, everything=everything)
     if next_command:
         _print_next_command(out, next_command)
     place = 0
@@ -216,13 +216,10 @@ def _is_left_out(document: Document, block: Block, place: int) -> bool:
     return block.detail or (document.brief and isinstance(block, Table))
 
 
-def print_head(
-    out: SafeConsole, document: Document, *, everything: bool = False, counted: bool = True
-) -> int:
+def print_head(out: SafeConsole, document: Document, *, everything: bool = False) -> int:
     """Print a document's verdict, title, failures and findings.
 
-    If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed,
-    and if ``counted`` is True, the second line ends with the number of omitted messages.
+    If ``everything`` is True, details follow. Otherwise, the short form of the messages is printed.
 
     Returns:
         Number of omitted messages.
@@ -249,7 +246,7 @@ def print_head(
         )
     _print_line(out, line)
     if short:
-        joined, omitted = _join_short_messages(messages[1:], language, counted=counted)
+        joined, omitted = _join_short_messages(messages[1:], language)
         if joined.plain:
             _print_line(out, joined, indent=2)
         return omitted
@@ -270,35 +267,22 @@ def _drop_suffix(title: str) -> str:
     return _MODEL_SUFFIX_PATTERN.sub(r"\1", title)
 
 
-def _join_short_messages(
-    messages: Sequence[Words], language: str, *, counted: bool
-) -> tuple[Text, int]:
+def _join_short_messages(messages: Sequence[Words], language: str) -> tuple[Text, int]:
     """Join the short forms of messages into a line of about `MAX_ANSWER_WIDTH` characters.
 
-    Messages that do not fit are omitted; if ``counted`` is True, the line ends with their number.
-
     Returns:
-        Line; number of omitted messages.
+        Line; number of messages that do not fit and are omitted.
     """
     line, left = Text(), len(messages)
     semicolon = translate(text("semicolon"), language)
     for message in messages:
         part = _style_words(message, language, short=True)
-        is_last = left == 1 or not counted
-        more = "" if is_last else f"{semicolon}{_describe_omitted(left - 1, language)}"
-        room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2 - cell_len(more)
+        room = MAX_ANSWER_WIDTH - cell_len(line.plain) - 2
         if line.plain and cell_len(part.plain) > room:
             break
         line.append(semicolon if line.plain else "  ").append_text(_end_at_clause(part, room))
         left -= 1
-    if left and counted:
-        line.append(f"{semicolon}{_describe_omitted(left, language)}", "dim")
     return line, left
-
-
-def _describe_omitted(count: int, language: str) -> str:
-    """Return a text with the number of messages that the second line omits, and option ``-v``."""
-    return translate(text("more-messages", count=count), language)
 
 
 _CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。、（]")  # noqa: RUF001

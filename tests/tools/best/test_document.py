@@ -87,16 +87,17 @@ def test_best_payload_states_that_it_needs_gravity_compensation(compensated: boo
 def test_second_line_states_the_stance_found() -> None:
     """Reference: the coordinates of the search; the base moves by 13 mm, a foot by hypot(3, 4).
 
-    A long list of coordinates is summarized: the base moves by hypot(30, 40).
+    Each coordinate of the base has its axis, also in a long list.
     """
     stand = SimpleNamespace(task=SimpleNamespace(height=0.1806))
     coordinates = {"height": 0.1806, "x": 0.0131, "pitch": np.radians(0.8), "FR x": 3e-3}
     best = SimpleNamespace(stand=stand, coordinates=coordinates | {"FR y": -4e-3, "yaw": 1e-9})
     assert _shorten_coordinates(best) == (
-        "found (--json saves it): height 180.6 mm, feet moved ≤5 mm, x +13 mm, pitch +1 deg"
+        "found: height 180.6 mm, feet moved ≤5 mm, x +13 mm, pitch +1 deg"
     )
     turned = {"x": 0.03, "y": 0.04, "roll": np.radians(-3), "pitch": np.radians(2)}
     best.coordinates |= turned | {"yaw": np.radians(-1)}
     line = _shorten_coordinates(best)
-    assert line.endswith(": height 180.6 mm, feet moved ≤5 mm, base 50 mm and 3 deg")
-    assert len(f"  {line}; 5 more: -v") <= MAX_ANSWER_WIDTH
+    axes = "x +30, y +40 mm, roll -3, pitch +2, yaw -1 deg"
+    assert line == f"found: height 180.6 mm, feet moved ≤5 mm, {axes}"
+    assert len(f"  {line}") <= MAX_ANSWER_WIDTH

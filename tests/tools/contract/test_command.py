@@ -177,13 +177,25 @@ def test_sources_without_a_common_quantity_are_not_compared(tmp_path: Path) -> N
 
 
 def test_lists_without_joint_names_are_the_reason_for_no_comparison(tmp_path: Path) -> None:
-    """Both sources state friction; the list of the second names no joints, so it is not read."""
+    """Both sources state damping; the list of the second names no joints, so it is not read.
+
+    The printed lines repair this: with both, the twelve numbers are compared.
+    """
     lists = tmp_path / "identified.py"
     lists.write_text(f"Kp = 20.0\nviscous_friction = {[0.1] * 12}\n")
     lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()
     assert lines[0] == "NOT COMPARED pupper_v3.urdf and identified.py: 1 list not read"
-    assert lines[1].startswith("  add joint names and [[contract.key]] for viscous_friction; ")
+    line, entry = 'joint_names = ["leg_front_r_1", ...]', 'names = ["viscous_friction"]'
+    assert lines[1] == f"  add {line} to the .py, then its keys to pupper-analysis.toml"
     assert lines[2] == f"  next: pupper-analysis contract {URDF} {lists} --no-stand -v"
+    lists.write_text(f"joint_names = {list(JOINTS)}\n{lists.read_text()}")
+    lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()
+    added = f'quantity = "damping", {entry}'
+    assert lines[1] == f"  pupper-analysis.toml: add a contract.key with {added}"
+    config = tmp_path / "pupper-analysis.toml"
+    config.write_text("\n".join(["[[contract.key]]", *added.split(", ")]))
+    lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()
+    assert " 12 differences in 12 compared numbers from 2 sources" in lines[0]
 
 
 def test_number_of_compared_numbers_excludes_numbers_of_one_source(tmp_path: Path) -> None:

@@ -146,8 +146,9 @@ def test_joint_of_one_file_alone_is_the_printed_cause(tmp_path: Path) -> None:
 def test_link_of_another_robot_is_the_first_word_of_the_verdict() -> None:
     """A line with long names of files is cut at its end, which contained the link."""
     masses = {"one": Quantity(3.3, "kg"), "two": Quantity(6.921, "kg")}
-    found = diagnose("inertials-of-another-robot", bodies=("base",), **masses)
-    assert found.short == "base: mass (3.3 kg, 6.921 kg), com, inertia differ"
+    change = Quantity(6.921 / 3.3 - 1, "1")
+    found = diagnose("inertials-of-another-robot", bodies=("base",), change=change, **masses)
+    assert found.short == "base: mass +110 % (3.3, 6.921 kg), com, inertia"
 
 
 def read_findings(comparison: Comparison) -> list[str]:
@@ -182,7 +183,7 @@ def test_second_line_has_the_largest_deviation_of_the_table(tmp_path: Path) -> N
     worst = max(effects, key=effects.__getitem__)
     assert (
         read_findings(comparison)[1]
-        == f"2 differences; largest deviation {100 * effects[worst]:.2g} % ({worst})"
+        == f"2 differences; largest effect {100 * effects[worst]:.2g} % ({worst})"
     )
 
 

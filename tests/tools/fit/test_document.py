@@ -139,8 +139,10 @@ def test_plan_counts_the_determined_parameters_by_kind() -> None:
     known = describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.DATA)
     plan = replace(stand_plan(), expected=(known, known, *stand_plan().expected))
     line = getattr(make_document(plan).findings[0], "short", "")
-    assert line.startswith("2 stands narrow 2 of 3 parameters to 1/3 of the prior sigma: 2 ")
-    assert line.endswith(f": 2 {known.kind}")
+    assert line.startswith(
+        "2 stands (4 angles) narrow 2 of 3 parameters to 1/3 of the prior, 2 of "
+    )
+    assert line.endswith(f", 2 of them {known.kind}")
 
 
 def write_document(name: str) -> str:
@@ -210,7 +212,7 @@ def test_weight_equal_to_the_mass_of_the_file_is_no_confirmation() -> None:
         repeated.short
         == "mass 3.500 ± 0.196 kg repeats --weight, the file's value: no confirmation"
     )
-    assert len(f"  {repeated.short}; 2 more: -v") <= MAX_ANSWER_WIDTH
+    assert len(f"  {repeated.short}") <= MAX_ANSWER_WIDTH
 
 
 def test_an_unweighed_fit_states_mass_and_kp_first_and_proposes_to_weigh() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import BarPlot, Table, Text, get_english, text
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.simulation.trial import Failure
@@ -139,17 +140,23 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
 
 
 def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
-    """Go2: the limit, its mass and the added servos; a longer line omitted the servos."""
+    """Go2: the same part limits both payloads; the motor nearest to its limit, the added servos.
+
+    Reference: the knee exerts 2 N m at half of its limit.
+    """
     result = make_payload_result()
     result.verdict = judge_added_servos(Question.CARRIES)
     result.upper_bound, result.mass_by_commands_alone = 66.899, 39.549
     result.failure, result.failing_parts = Failure.GROUND, ("RL_calf",)
     result.bounds = {"simulation": result.bounds["servos"]}
     result.bounds["simulation"].mass = result.mass
+    result.point = np.zeros(3)
+    result.failures_alone = (diagnose("body-touches-ground", subject=("body", "RL_calf")),)
     second = printed(payload_document(result), everything=False).splitlines()[1]
-    start = (
-        "  limit 66.89 kg at (11, -22, 83) mm: RL_calf touches the ground; "
-        "on added servos (kp 320 N m/rad)"
-    )
-    assert second.startswith(start)
+    limits = "  limits: RL_calf touches the ground; motors 2/4 N m (knee)"
+    assert second == f"{limits}; added kp 320 N m/rad"
     assert len(second) <= MAX_ANSWER_WIDTH
+    result.failures_alone = (diagnose("height-drifts", drift=Quantity(-1e-3, "m/s")),)
+    second = printed(payload_document(result), everything=False).splitlines()[1]
+    limits = "  limit 66.89 kg: RL_calf touches the ground"
+    assert second == f"{limits}; uncompensated: the height drifts by -1.00 mm/s"

@@ -85,7 +85,7 @@ def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
     one.unknown_limits, one.peak_torques = ("knee",), np.array([9.0, 4.32])
     text = " ".join(print_words(push_document(one)))
     assert "largest push UNKNOWN without torque limits" in text
-    assert "with unlimited motors 0.43 N s in the weakest direction (240°)" in text
+    assert "with unlimited motors 0.43 N s in the weakest direction (240 deg)" in text
     assert "up to 4.32 N m (knee)" in text
     assert "largest push in the weakest" not in text
 

@@ -190,7 +190,7 @@ def test_next_command_takes_the_file_that_leaves_fewer_differences(tmp_path: Pat
     limit = re.sub(r' effort="[^"]*"', "", text[start:end])
     files.urdf.write_text(text[:start] + limit + text[end:])
     lines = run(tmp_path).stdout.splitlines()
-    assert lines[1].startswith("  left with --take mjcf: 0, urdf: 1; ")
+    assert lines[1].startswith("  --take mjcf removes 2, urdf 1 of 2")
     trial = "sync robot.urdf robot.xml --take mjcf --dry-run"
     assert lines[2] == f"  next: pupper-analysis {trial}"
     assert answer(*trial.split(), folder=tmp_path).returncode == 0

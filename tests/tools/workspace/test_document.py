@@ -105,7 +105,7 @@ def test_limits_that_are_too_wide_are_abbreviated() -> None:
         _abbreviate_limits(result) == "reach (all but x, roll), support (x), end of search (roll)"
     )
     result.limits["y"] = result.limits["x"]
-    expected = "mostly reach, support (x, y), end of search (roll)"
+    expected = "support (x, y), end of search (roll), else reach"
     assert _abbreviate_limits(result) == expected
     ground = diagnose("workspace-ends-at-ground", links=("foot",))
     result.limits["pitch"] = (ends[0], ground)
