@@ -13,7 +13,12 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    NoEquilibriumError,
+    NotSettlingError,
+    StaticsInfeasibleError,
+)
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import FramePoint
@@ -263,8 +268,8 @@ def study_best(
 ) -> BestStudy:
     """Search for the best stance that holds in simulation.
 
-    If the best stance fails in simulation, worse stances (`StanceSearch.list_next_best`) are
-    simulated; not for the objective payload, because `payload_limit` already includes a simulation.
+    If the best stance fails in simulation, or has no equilibrium on soft ground, worse stances
+    (`StanceSearch.list_next_best`) are simulated.
 
     Args:
         robot: Robot with a floating base, without loops, couplings, welds or grips.
@@ -283,13 +288,25 @@ def study_best(
         StaticsInfeasibleError: If no contact forces balance the initial task.
     """
     search = _run_search(robot, objective, task, point, kp)
-    best = _make_best_stance(search, search.best, point, kp, kd)
-    study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
-    if study.passed or search.objective is Objective.PAYLOAD:
-        return study
-    for stance in search.list_next_best():
-        best = _make_best_stance(search, stance, point, kp, kd)
-        simulated = simulate_stance(robot, best.stand, kp=kp, kd=kd)
-        if simulated.passed and (best.payload is None or best.payload.passed):
-            return BestStudy(best, simulated.complete())
-    return study
+    first: BestStudy | None = None
+    for stance in (search.best, *search.list_next_best()):
+        try:
+            if first is None:
+                best = _make_best_stance(search, stance, point, kp, kd)
+                study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
+            else:
+                stand = solve_stand(robot, stance.stand.task)
+                simulated = simulate_stance(robot, stand, kp=kp, kd=kd)
+                if not simulated.passed:  # before the payload limit, which takes seconds
+                    continue
+                best = _make_best_stance(search, stance, point, kp, kd)
+                study = BestStudy(best, simulated.complete())
+        except (StaticsInfeasibleError, NotSettlingError, NoEquilibriumError):
+            if first is None and stance is search.nominal:
+                raise
+            continue
+        if study.passed:
+            return study
+        first = first or study
+    assert first is not None
+    return first

@@ -281,7 +281,8 @@ class StanceSearch:
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_objective(stand)
         if self.objective is Objective.MARGIN:
-            margins = (slack.edges + stand.task.com_margin) / self.scale
+            distances = slack.edges + self.space.edge_reserve + stand.task.com_margin
+            margins = distances / self.scale
             return -float(margins.min()), np.column_stack([margins, np.ones(len(margins))])
         torques = stand_statics(self.robot, stand).joint_torques
         utilisation = torques[self.bears] / self.limits[self.bears] / self.scale

@@ -68,6 +68,12 @@ JOINT_RESERVE = 0.02
 margin; less if the initial stand is closer to a limit. The reserve covers the deflection of servos,
 and the extension of legs whose feet sink into soft ground. Chosen, not tuned."""
 
+EDGE_RESERVE_RATIO = 0.05
+"""Distance of the CoM from the edges of the support polygon that the search requires in addition to
+the task's CoM margin, relative to the distance that the initial stand has in addition. At an edge,
+the robot has no balance after its feet sink into soft ground, although a payload may be balanced.
+Chosen, not tuned."""
+
 JOINT_LIMIT_OVERSHOOT = 1e-4
 """Largest amount [rad, m] by which a joint of an allowed stance may enter the reserve at its limits
 (`JOINT_RESERVE`): the optimiser slightly violates a constraint that is active. The reserve is at
@@ -98,7 +104,8 @@ class StanceSlack:
         joints: Shape (2 nu,) [rad, m]; distances from the lower, then the upper joint limits, less
             the joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
-            polygon, less the CoM margin. The order is continuous in the positions of the feet.
+            polygon, less the CoM margin and ``StanceSpace.edge_reserve``. The order is continuous
+            in the positions of the feet.
         penetration: Negative total penetration [m] of pairs of geoms that do not penetrate each
             other in the initial stand; zero if there is none. Contacts of feet with the ground or
             with feet are left out.
@@ -141,6 +148,8 @@ class StanceSpace:
         start: Coordinates of the initial stand, shape (n,) [m or rad].
         low: Lower bounds of the coordinates, shape (n,) [m or rad].
         high: Upper bounds of the coordinates, shape (n,) [m or rad].
+        edge_reserve: Distance [m] of the CoM from the edges that is required in addition to the CoM
+            margin of the task (`EDGE_RESERVE_RATIO`).
     """
 
     def __init__(self, robot: Robot, task: StandTask) -> None:
@@ -150,6 +159,8 @@ class StanceSpace:
         ground = Ground(task.ground.slope, task.ground.uphill)
         available = self._compute_limit_distances(self.nominal) - task.joint_margin
         self._reserve = np.clip(available, JOINT_LIMIT_OVERSHOOT, JOINT_RESERVE)
+        nearest = float(self._compute_edge_distances(nominal).min()) - task.com_margin
+        self.edge_reserve = EDGE_RESERVE_RATIO * max(nearest, 0.0)
         self._robot_on_ground = build_on_ground(robot, ground, {})
         self._collision_data = mujoco.MjData(self._robot_on_ground.mj_model)
         self._initial_penetrations = self._compute_penetrations(nominal)
@@ -307,8 +318,7 @@ class StanceSpace:
         min_values = MIN_SINGULAR_VALUE_RATIO * self._initial_singular_values
         scale = np.where(self._initial_singular_values > 0, self._initial_singular_values, 1.0)
         joint_slacks = self._compute_limit_distances(stand) - self._reserve - task.joint_margin
-        sides = polygon_sides(stand.corners(self.robot), from_first=True)
-        edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
+        edges = self._compute_edge_distances(stand)
         penetrations = self._compute_penetrations(stand)
         added = sum(
             depth for pair, depth in penetrations.items() if pair not in self._initial_penetrations
@@ -316,9 +326,16 @@ class StanceSpace:
         return StanceSlack(
             singular_values=(_compute_min_singular_values(config) - min_values) / scale,
             joints=np.minimum(joint_slacks, 1.0),
-            edges=edges - task.com_margin,
+            edges=edges - task.com_margin - self.edge_reserve,
             penetration=-added,
         )
+
+    def _compute_edge_distances(self, stand: Stand) -> Array:
+        """Compute the signed distances of the CoM from the edges of the support polygon, (m,)."""
+        sides = polygon_sides(stand.corners(self.robot), from_first=True)
+        com = Configuration(self.robot, stand.qpos).center_of_mass()
+        distances: Array = sides[:, :2] @ com[:2] + sides[:, 2]
+        return distances
 
     def compute_motions(self, stand: Stand, config: Configuration) -> Array | None:
         """Compute the derivatives of a stand's configuration by the coordinates.

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -292,6 +293,38 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("is_refused", [False, True])
+def test_next_stance_for_a_payload_is_returned_if_the_best_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch, few_samples: None, is_refused: bool
+) -> None:
+    """The best stance falls, or has no equilibrium on soft ground. Reference: the payload limit of
+    the returned stance."""
+    fallen: list[pa.Stand] = []
+    complete_limit = best.payload_limit
+
+    def fall(robot: pa.Robot, stand: pa.Stand, **_: object) -> SimpleNamespace:
+        fallen.append(stand)
+        return SimpleNamespace(passed=False)
+
+    def refuse_best(robot: pa.Robot, stand: pa.Stand, *more: object, **named: object) -> object:
+        if is_refused and stand.task.height != pytest.approx(nominal.task.height) and not fallen:
+            fallen.append(stand)
+            raise pa.NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
+        return complete_limit(robot, stand, *more, **named)
+
+    robot = load("v3")
+    nominal = pa.solve_stand(robot)
+    monkeypatch.setattr(best, "payload_limit", refuse_best)
+    if not is_refused:
+        monkeypatch.setattr(best, "study_stance", fall)
+    study = best.study_best(robot, Objective.PAYLOAD, pa.StandTask())
+    assert len(fallen) == 1
+    assert study.passed
+    limit = pa.payload_limit(robot, study.best.stand)
+    assert study.best.value == pytest.approx(limit.mass, rel=1e-6)
+    assert study.best.stand.task != fallen[0].task
+
+
 def load_biped(folder: Path) -> pa.Robot:
     pair = biped(folder)
     return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
@@ -324,6 +357,26 @@ def test_best_stance_of_a_biped_has_a_larger_margin(tmp_path: Path) -> None:
     assert found.value > 1.02 * found.nominal_value
 
 
+def test_com_of_the_best_stance_keeps_a_distance_from_the_edges(tmp_path: Path) -> None:
+    """A payload above the base balances a CoM on an edge, on which the robot without payload tips.
+    Reference: the distance of the CoM from SciPy's hull of the soles."""
+    robot = load_biped(tmp_path)
+    space = StanceSpace(robot, pa.StandTask())
+    stands = [space.find_stand(space.start + shift * np.eye(len(space.start))[1])
+              for shift in (0.0, 0.02)]  # fmt: skip
+    distances = []
+    for stand in stands:
+        assert stand is not None
+        com = evaluate_mujoco(robot, stand.qpos).body(robot.mj_base).subtree_com
+        sides = ConvexHull(stand.corners(robot)[:, :2]).equations
+        distances.append(-float((sides @ [*com[:2], 1.0]).max()))
+        found = space.compute_slack(stand).edges.min()
+        assert found == pytest.approx(distances[-1] - space.edge_reserve, abs=1e-9)
+    assert distances[0] != pytest.approx(distances[1], abs=1e-3)
+    assert 0.04 * distances[0] < space.edge_reserve < 0.06 * distances[0]
+
+
+@pytest.mark.slow
 def test_best_stance_is_deterministic() -> None:
     robot = load("original")
     assert best_stance(robot).to_json() == best_stance(robot).to_json()
@@ -344,5 +397,5 @@ def test_stance_space_solves_stands_below_the_required_com_margin() -> None:
     sides = ConvexHull([point[:2] for point in stand.contact_points.values()]).equations
     margin = -float((sides @ [*com[:2], 1.0]).max())
     found = space.compute_slack(stand).edges.min()
-    assert found == pytest.approx(margin - 0.06, abs=1e-9)
+    assert found == pytest.approx(margin - 0.06 - space.edge_reserve, abs=1e-9)
     assert found < 0
