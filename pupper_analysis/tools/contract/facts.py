@@ -491,6 +491,9 @@ _OCTAL_PATTERN = re.compile(r"[-+]?0[0_]*[1-7][0-7_]+$")
 Such a text is not read as a number.
 """
 
+_INFINITY_PATTERN = re.compile(r"[-+]?(\.?inf|infinity)$", re.IGNORECASE)
+"""Pattern of an infinite number of YAML (``.inf``), Python (``inf``) or its JSON (``Infinity``)."""
+
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Pattern of a number as written, with groups for the decimals and the exponent."""
 
@@ -579,7 +582,7 @@ def parse_scalar(text: str, place: Place) -> LocatedValue:
         plain = text.replace("_", "")
         if math.isfinite(number := float(plain)):  # 1e999 is a text: a double would be infinite
             return LocatedValue(number, place, count_decimals(plain))
-    if text.lower() in (".inf", "-.inf", "inf", "-inf"):
+    if _INFINITY_PATTERN.match(text):
         return LocatedValue(float(text.replace(".", "")), place, 0)
     return LocatedValue(text, place)
 

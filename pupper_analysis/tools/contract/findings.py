@@ -213,7 +213,12 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
     ]
 
 
-LIST_CODES = ("contract-list-length", "contract-motors-length", "contract-motors-unread")
+LIST_CODES = (
+    "contract-list-length",
+    "contract-motors-length",
+    "contract-motors-unread",
+    "contract-names-unread",
+)
 """Codes of messages about lists that contradict the joint order of their own source, or themselves.
 These lists are reported even if no other source states the quantity."""
 
@@ -507,10 +512,21 @@ def _compare_joint_quantity(
                 pairs.setdefault(key, {})[joint] = (first_fact, fact)
     for (first, other, *_), differing in pairs.items():
         # A source may restrict the range of the model on purpose.
-        is_range_difference = (first, other).count(
-            Role.MODEL
-        ) == 1 and quantity in _LIMIT_QUANTITIES
+        is_range_difference = (
+            (first, other).count(Role.MODEL) == 1
+            and quantity in _LIMIT_QUANTITIES
+            and not any(
+                _has_empty_range(placed, fact) for pair in differing.values() for fact in pair
+            )
+        )
         yield from _group_by_values(quantity, kind, differing, is_range_difference)
+
+
+def _has_empty_range(placed: Sequence[PlacedSource], limit: Fact) -> bool:
+    """Return True if the source of a joint limit states a lower limit above the upper limit."""
+    facts = next(item.facts for item in placed if item.source.name == limit.source)
+    low, high = (facts.get((quantity, limit.joint)) for quantity in _LIMIT_QUANTITIES)
+    return low is not None and high is not None and low.number > high.number
 
 
 def _format_first_number(number: float, unit: str) -> str:

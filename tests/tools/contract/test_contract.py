@@ -1098,3 +1098,52 @@ def test_an_octal_number_is_not_read_as_a_decimal_number(tmp_path: Path, text: s
     found = contract(first, second)
     assert found.findings == ()
     assert {one.code for one in found.unread} == {"contract-value-unread"}
+
+
+@pytest.mark.parametrize("number", ["Infinity", "-Infinity", "inf", ".inf", "-.Inf"])
+def test_an_infinite_gain_of_json_or_yaml_is_compared(tmp_path: Path, number: str) -> None:
+    """Python's ``json`` writes ``Infinity``, which YAML reads as a text."""
+    first = write_deployment(tmp_path / "first.yaml")
+    second = write_deployment(tmp_path / "second.yaml", kps=number)
+    (finding,) = contract(first, second).findings
+    assert finding.values == (5.0, float(number.replace(".", "")))
+
+
+@pytest.mark.parametrize("last", ["3", "null", "''"])
+def test_joint_names_that_are_no_texts_make_the_contract_incomplete(
+    tmp_path: Path, last: str
+) -> None:
+    """Without the names, the order of the lists is assumed."""
+    first = write_deployment(tmp_path / "first.yaml")
+    names = format_list([*JOINTS[:11], last])
+    second = write_deployment(tmp_path / "second.yaml", joint_names=names)
+    found = contract(first, second)
+    assert not found.passed
+    assert "contract-names-unread" in {message.code for message in found.unread}
+
+
+def test_a_network_without_outputs_differs_from_twelve_actions(tmp_path: Path) -> None:
+    first = write_deployment(tmp_path / "first.yaml", num_actions=12)
+    second = tmp_path / "policy.json"
+    second.write_text('{"kps": 5.0, "in_shape": [], "layers": [{"shape": [null, 0]}]}')
+    (finding,) = contract(first, second).findings
+    assert (finding.kind, set(finding.values)) == ("actions", {0.0, 12.0})
+
+
+def test_an_empty_range_is_no_narrower_range_of_the_model(tmp_path: Path) -> None:
+    """A lower limit above the upper limit permits no position at all."""
+    limits = {"joint_lower_limits": 0.1, "joint_upper_limits": 0.2}
+    for factor, severity in ((1, "note"), (-1, "warning")):
+        rows = {key: format_list([factor * number] * 12) for key, number in limits.items()}
+        path = write_deployment(tmp_path / "deploy.yaml", **rows)
+        assert {one.severity.value for one in contract(path).findings} == {severity}
+
+
+def test_action_offsets_of_a_deployment_are_compared(tmp_path: Path) -> None:
+    """The same action commands positions that differ by the offsets."""
+    first = write_deployment(tmp_path / "first.yaml", action_offset=format_list(ANGLES))
+    moved = [0.36, *ANGLES[1:]]
+    second = write_deployment(tmp_path / "second.yaml", action_offset=format_list(moved))
+    both = (first.name, second.name)
+    (finding,) = [one for one in contract(first, second).findings if one.sources == both]
+    assert (finding.kind, finding.joints) == ("action offset", (JOINTS[0],))

@@ -32,6 +32,7 @@ from pupper_analysis.tools.contract.facts import (
     read_yaml_nodes,
 )
 from pupper_analysis.tools.contract.keys import (
+    JOINT_ORDER,
     KeyRule,
     load_key_rules,
     load_order_keys,
@@ -166,7 +167,7 @@ def read(request: Request) -> Iterator[JointSource]:
                 for what, shapes in sizes_by_quantity.items()
                 for shape in shapes
                 for size in shape.items[-1:]
-                if size.number
+                if size.number is not None
             ]
             yield from read_table(request, request.path.name, document, Role.POLICY, sizes)
         elif training.is_environment(document):
@@ -281,10 +282,12 @@ def _read_view(
     root = view.tables[0]
     joint_names = view.find_first("joints")
     indices, unread_motors = _read_motors(name, view)
-    notes = list[Diagnostic]()
     unread = _describe_unread_values(view) | _describe_unread_terms(view) | unread_motors
     if isinstance(joint_names.value, list) and joint_names.value and not joint_names.texts:
-        notes.append(diagnose("contract-names-unread", file=str(joint_names.place)))
+        place = joint_names.place
+        unread[JOINT_ORDER] = diagnose(
+            "contract-names-unread", file=str(place), sources=place.source
+        )
     is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
     statements = [
         *sizes,
@@ -321,7 +324,6 @@ def _read_view(
         order_place=joint_names.place,
         motors=tuple(indices),
         observations=(*named_terms, *_list_view_observations(view)),
-        notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
         unread=unread,
         number_lists=_collect_number_lists(view),
