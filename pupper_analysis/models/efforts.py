@@ -20,6 +20,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
@@ -27,7 +28,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
+from pupper_analysis.base.units import EARTH_GRAVITY, EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.transmission import (
@@ -453,6 +454,20 @@ as a placeholder. Chosen above the values of robots in use, 350 to 25,000.
 """
 
 
+MIN_OUTLIER_RATIO = 5.0
+"""Ratio [1] of a round effort to the next smaller effort of the robot, from which the effort counts
+as a placeholder. Further conditions are `MIN_OUTLIER_LEVER` and `MAX_OUTLIER_SHARE`. Chosen; robots
+in use reach the ratio with wrists or fingers as the other joints: 7.3 (Panda), 5.4 (UR5)."""
+
+MIN_OUTLIER_LEVER = 0.6
+"""Lever arm [m] at which an effort carries the weight of the robot, from which an effort far above
+the others counts as a placeholder. Chosen: walking robots in use have 0.1 to 0.5 m."""
+
+MAX_OUTLIER_SHARE = 1 / 3
+"""Fraction [1] of the joints up to which an effort far above the others counts as a placeholder.
+Chosen: arms have large motors in half of their joints, for example 3 of 6 (UR5), 4 of 7 (Panda)."""
+
+
 @dataclass(frozen=True)
 class JointEffort:
     """Effort of a hinge, with the mass and armature to which the effort is compared.
@@ -477,8 +492,9 @@ def placeholder_efforts(
     """Yield the torque limits of hinges that are probably placeholders.
 
     A round effort (`is_placeholder_number`) is compared with the mass of the joint's two links
-    (`MAX_TORQUE_PER_LINK_MASS`), each effort with the armature (`MAX_ROTOR_ACCELERATION`), and the
-    sum of the other efforts with the mass of the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
+    (`MAX_TORQUE_PER_LINK_MASS`) and with the smaller efforts (`MIN_OUTLIER_RATIO`), each effort
+    with the armature (`MAX_ROTOR_ACCELERATION`), and the sum of the other efforts with the mass of
+    the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
 
     Args:
         motors: Hinges with their torque limits.
@@ -512,6 +528,9 @@ def placeholder_efforts(
         yield names, message
     named = {one.joint for several in found.values() for one in several}
     rest = [one for one in stated if one.joint not in named]
+    for several, message in _find_outliers(rest, total):
+        yield tuple(one.joint for one in several), message
+        rest = [one for one in rest if one not in several]
     share = sum(one.effort for one in rest) / total if total > 0 else 0.0
     if share > MAX_TORQUE_PER_ROBOT_MASS:
         rest.sort(key=lambda one: -one.effort / max(one.mass, 1e-3 * total))
@@ -530,6 +549,34 @@ def placeholder_efforts(
                 mass=Quantity(total, "kg"),
             ),
         )
+
+
+def _find_outliers(
+    motors: Sequence[JointEffort], total: float
+) -> Iterator[tuple[list[JointEffort], Diagnostic]]:
+    """Yield the motors with a round effort far above all smaller efforts, and a diagnostic.
+
+    See `MIN_OUTLIER_RATIO`, `MIN_OUTLIER_LEVER` and `MAX_OUTLIER_SHARE`. ``total`` is the mass of
+    the robot [kg].
+    """
+    weight = EARTH_GRAVITY * total
+    efforts = sorted({motor.effort for motor in motors})
+    for smaller, effort in pairwise(efforts):
+        equal = [motor for motor in motors if motor.effort == effort]
+        is_far = effort >= MIN_OUTLIER_RATIO * smaller and effort >= MIN_OUTLIER_LEVER * weight
+        is_rare = len(equal) <= MAX_OUTLIER_SHARE * len(motors)
+        if is_far and is_rare and weight > 0 and is_placeholder_number(effort):
+            yield (
+                equal,
+                diagnose(
+                    "effort-beyond-others",
+                    more=[motor.joint for motor in equal[1:]],
+                    effort=Quantity(effort, "N m"),
+                    smaller=Quantity(smaller, "N m"),
+                    weight=Quantity(weight, "N"),
+                    lever=Quantity(effort / weight, "m"),
+                ),
+            )
 
 
 def is_placeholder_number(value: float) -> bool:

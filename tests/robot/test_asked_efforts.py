@@ -165,6 +165,32 @@ def test_equal_efforts_of_all_motors_are_judged_by_the_weight_of_the_robot() -> 
     assert message.values["share"] == pytest.approx(91)
 
 
+@pytest.mark.parametrize(
+    ("large", "number", "others", "total", "found"),
+    [
+        (1000.0, 1, 150.0, 86.8, True),  # HyQ with one edited hip: 1.17 m times its weight
+        (1000.0, 4, 150.0, 86.8, True),
+        (1000.0, 5, 150.0, 86.8, False),  # no exception among the joints
+        (1000.0, 1, 210.0, 86.8, False),  # 4.8 times
+        (990.0, 1, 150.0, 86.8, False),  # not round
+        (1000.0, 1, 150.0, 180.0, False),  # 0.57 m
+    ],
+)
+def test_round_effort_far_above_the_others_is_a_placeholder(
+    large: float, number: int, others: float, total: float, found: bool
+) -> None:
+    """By hand: links of 30 kg bound an effort by 7500 N m, and the sum by 90 N m/kg."""
+    efforts = [large] * number + [others] * (12 - number)
+    motors = [JointEffort(f"joint{row}", effort, 30.0) for row, effort in enumerate(efforts)]
+    messages = list(placeholder_efforts(motors, total))
+    assert [names for names, _ in messages] == (
+        [tuple(f"joint{row}" for row in range(number))] if found else []
+    )
+    for _, message in messages:
+        assert message.code == "effort-beyond-others"
+        assert message.values["lever"].value == pytest.approx(large / (total * 9.81))
+
+
 @pytest.mark.filterwarnings("error")
 def test_effort_that_no_motor_has_is_refused_or_counts_as_zero() -> None:
     """1 / 1e-300 overflows in squares: NumPy warned, and utilisations had no meaning."""
