@@ -50,7 +50,11 @@ from pupper_analysis.robot.as_published import (
     OwnRun,
     ServoSource,
 )
-from pupper_analysis.robot.build import compile_with_visuals, report_placeholder_efforts
+from pupper_analysis.robot.build import (
+    compile_with_visuals,
+    report_placeholder_efforts,
+    report_placeholder_inertias,
+)
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.contact import MIN_FOOT_FRICTION
 from pupper_analysis.robot.joints import joint_unit
@@ -470,7 +474,7 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return messages about errors and assumptions in a robot's files, for verdicts.
 
     Examples are impossible masses and inertias, negative friction or damping, joints with an empty
-    range, and placeholder torque limits.
+    range, and placeholder torque limits or inertias.
     """
     loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
@@ -496,6 +500,7 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         *(() if friction is None else (friction,)),
         *gravity_notes,
         *report_placeholder_efforts(robot),
+        *report_placeholder_inertias(robot),
         *describe_import_failure(robot),
     )
 

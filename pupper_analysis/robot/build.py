@@ -43,6 +43,7 @@ from pupper_analysis.models.efforts import (
     JointEffort,
     placeholder_efforts,
 )
+from pupper_analysis.models.inertias import find_placeholder_inertias
 from pupper_analysis.models.mjcf import JointKind, has_free_joint, list_free_joints
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.transmission import is_at_one_joint
@@ -615,6 +616,34 @@ def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
     if not joints:
         return ()
     return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
+
+
+_NEGLIGIBLE_MASS_RATIO = 1e-4
+"""Mass of a link, relative to the robot, below which `report_placeholder_inertias` ignores the
+link. Equal to the ratio of the audit (`RobotModel.is_negligible`)."""
+
+
+def report_placeholder_inertias(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Report the link inertias that appear to be placeholders, one diagnostic for each inertia.
+
+    A placeholder is an inertia that at least two links share, for example 1 kg m^2 about every
+    axis. The largest stable damping is proportional to the inertias, and the growth of deviations
+    depends on them.
+    """
+    model = robot.mj_model
+    least = _NEGLIGIBLE_MASS_RATIO * robot.total_mass
+    moving = (model.body_weldid > 0) & (model.body_mass >= least)
+    bodies = np.flatnonzero(moving).tolist()
+    inertias = ((model.body(body).name, np.diag(model.body_inertia[body])) for body in bodies)
+    return tuple(
+        diagnose(
+            "rests-on-placeholder-inertias",
+            links=names,
+            count=len(names),
+            moment=Quantity(moment, "kg m^2"),
+        )
+        for moment, names in find_placeholder_inertias(inertias).items()
+    )
 
 
 def find_placeholder_efforts(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:

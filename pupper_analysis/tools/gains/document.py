@@ -51,6 +51,10 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         findings=(
             *(() if gains in failures else (gains,)),
             *ties,
+            *(
+                doc.diagnostic_text(message).with_mark("warn")
+                for message in study.placeholder_inertias
+            ),
             *_order_conditions(study, failed=bool(failures)),
             *_describe_added_servos(study),
         ),

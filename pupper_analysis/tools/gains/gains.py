@@ -40,6 +40,7 @@ from pupper_analysis.prepare.limits import (
 from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.alike import group_joints, name_joints
 from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.robot.build import report_placeholder_inertias
 from pupper_analysis.robot.joints import (
     force_unit,
     is_slide,
@@ -238,6 +239,8 @@ class GainStudy(Tabular):
         recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
         missing_masses: Message about links with assumed masses; None if the files state all.
         ties: Messages about constraints of the file that tie the robot to the world.
+        placeholder_inertias: Messages about link inertias that appear to be placeholders, on which
+            the bounds of the damping rest.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("passed", "least_kp", "largest_kp", "largest_kd")
@@ -272,6 +275,7 @@ class GainStudy(Tabular):
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
     missing_masses: Diagnostic | None = None
     ties: tuple[Diagnostic, ...] = ()
+    placeholder_inertias: tuple[Diagnostic, ...] = ()
 
     def _columns(self) -> dict[str, Array]:
         """Return {column: values, shape (n,)} of the curve: factors on stiffness and damping."""
@@ -420,6 +424,7 @@ def study_gains(
         recommended_kd_factor=recommended[1],
         missing_masses=describe_missing_masses(get_loaded_robot(robot)),
         ties=describe_ties(robot, stand),
+        placeholder_inertias=report_placeholder_inertias(get_loaded_robot(robot)),
     )
 
 

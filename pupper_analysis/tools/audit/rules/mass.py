@@ -21,6 +21,11 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
+from pupper_analysis.models.inertias import (
+    MIN_REPEATED_LINKS,
+    find_placeholder_inertias,
+    is_power_of_ten,
+)
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import compile_spec, has_free_joint
 from pupper_analysis.models.places import Place
@@ -538,18 +543,16 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     are the same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a finding if the mass is a power
     of ten (1, 0.1, 0.01 ... kg), and common to all moving links with a stated mass, at least three.
     """
-    balls: dict[float, list[str]] = {}
-    for body, inertial in _list_moving_inertials(robot):
-        moment = float(inertial.inertia[0, 0])
-        ball = np.allclose(inertial.inertia, moment * np.eye(3), rtol=1e-9, atol=1e-9 * moment)
-        if ball and _is_power_of_ten(moment) and not robot.is_negligible(body):
-            balls.setdefault(moment, []).append(body.name)
-    for moment, names in balls.items():
-        if len(names) >= _MIN_REPEATED_LINKS:
-            message = diagnose(
-                "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
-            )
-            yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_path("inertia"))
+    inertias = (
+        (body.name, inertial.inertia)
+        for body, inertial in _list_moving_inertials(robot)
+        if not robot.is_negligible(body)
+    )
+    for moment, names in find_placeholder_inertias(inertias).items():
+        message = diagnose(
+            "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
+        )
+        yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_path("inertia"))
     placeholders = list_placeholder_masses(robot)
     if placeholders:
         mass = Quantity(placeholders[0].mass, "kg")
@@ -577,10 +580,10 @@ def list_placeholder_masses(robot: RobotModel) -> list[Link]:
     links = [body for body, _ in _list_moving_inertials(robot)]
     masses = {body.mass for body in links}
     if (
-        len(links) > _MIN_REPEATED_LINKS
+        len(links) > MIN_REPEATED_LINKS
         and len(masses) == 1
         and not robot.is_negligible(links[0])
-        and _is_power_of_ten(masses.pop())
+        and is_power_of_ten(masses.pop())
     ):
         return links
     return []
@@ -654,24 +657,6 @@ def _compute_link_volume(body: Link) -> float | None:
         if volumes and len(known) == len(volumes):
             return sum(known)
     return None
-
-
-_MIN_REPEATED_LINKS = 2
-"""Smallest number of moving links with the same inertia, a power of ten times the identity, at
-which the inertia is reported; for a mass that is a power of ten, one more. A single link may have
-the value by chance. Chosen, not tuned.
-"""
-
-
-def _is_power_of_ten(value: float) -> bool:
-    """Return True if ``value`` is a positive power of ten, within `ROUND_LOG_ATOL`."""
-    return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND_LOG_ATOL)
-
-
-ROUND_LOG_ATOL = 1e-9
-"""Largest difference between the decimal logarithm of a power of ten and an integer. Chosen, above
-binary rounding.
-"""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:
