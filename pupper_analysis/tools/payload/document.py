@@ -164,12 +164,16 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return
-    following = _find_following_bound(limit)
+    name, following = _find_following_bound(limit)
     is_same = _fails_alone_alike(limit)
-    yield _describe_limiting_failure(limit, *following, alone_alike=is_same)
+    yield _describe_limiting_failure(limit, alone_alike=is_same)
+    if following is not None:
+        cause, bound = word(following.failure.value), text(_BOUND_KEYS[name])
+        next_mass = mass_text(following.mass)
+        yield text("payload-next-bound", next=next_mass, cause=cause, bound=bound)
     if limit.failures_alone and not is_same:
         yield text("payload-alone-limited", failure=_describe_failure_alone(limit))
-    if limit.binding != "motors" and following[0] != "motors":
+    if "motors" not in (limit.binding, name):
         yield from _describe_motor_utilisation(limit)
 
 
@@ -225,16 +229,10 @@ def _find_following_bound(limit: PayloadLimit) -> tuple[str, Bound | None]:
     )
 
 
-def _describe_limiting_failure(
-    limit: PayloadLimit, name: str, following: Bound | None, *, alone_alike: bool
-) -> doc.Words:
-    """Return the text of the failure that limits the payload, and of a larger bound.
+def _describe_limiting_failure(limit: PayloadLimit, *, alone_alike: bool) -> doc.Words:
+    """Return the text of the failure that limits the payload.
 
-    Args:
-        limit: Payload limit.
-        name: Name of the larger bound.
-        following: Larger bound; None if there is none.
-        alone_alike: Whether the same failure limits the payload without gravity compensation.
+    ``alone_alike`` states that the same failure limits the payload without gravity compensation.
     """
     alone = limit.passed and not math.isnan(limit.mass_by_commands_alone)
     return text(
@@ -244,9 +242,6 @@ def _describe_limiting_failure(
         both=alone_alike,
         place=_format_point(limit) if alone and np.any(limit.point) else "",
         failure=_describe_failure(limit.failure, limit.failing_parts),
-        next="" if following is None else mass_text(following.mass),
-        cause="" if following is None else word(following.failure.value),
-        bound="" if following is None else text(_BOUND_KEYS[name]),
     )
 
 
