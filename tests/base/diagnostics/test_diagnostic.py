@@ -254,6 +254,16 @@ def test_errors_contain_diagnostics_instead_of_sentences() -> None:
         ("{all|foot|feet} {all}", {"all": ("FR", "FL")}, "feet FR, FL"),
         ("{all:2}", {"all": ("a", "b", "c", "d")}, "a, b and 2 more"),
         ("{all:2}", {"all": ("a", "b", "c")}, "a, b, c"),
+        (
+            "{all:;1}",
+            {"all": (diagnose("fell-over"),) * 3},
+            "the robot fell over; 2 more failures",
+        ),
+        (
+            "{all:;1}",
+            {"all": (diagnose("fell-over"), diagnose("no-effect"), diagnose("no-effect"))},
+            "the robot fell over; 2 more findings",
+        ),
         ("{all:;2|mm:.0f}", {"all": (Quantity(0.001, "m"), Quantity(0.002, "m"))}, "1 mm; 2 mm"),
         ("{all!r:or}", {"all": ("a", "b")}, "'a' or 'b'"),
         ("{all:,or}", {"all": ("a", "b", "c")}, "a, or b, or c"),

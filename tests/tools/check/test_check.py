@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Iterable
 from dataclasses import replace
@@ -670,6 +671,32 @@ def test_passed_check_names_the_model_that_is_paired_with_no_urdf(tmp_path: Path
     run(tmp_path, "--init")
     lines = run(tmp_path).stdout.splitlines()
     assert lines[1].endswith("; paired with no URDF, so not compared: scene.xml")
+
+
+def test_next_command_has_the_packages_of_the_configuration_and_the_language(
+    tmp_path: Path,
+) -> None:
+    """The proposed audit of a file finds the meshes that `check` finds."""
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
+    mesh = '<visual><geometry><mesh filename="package://dog/foot.stl"/></geometry></visual></link>'
+    lost = mesh.replace("package://dog/foot.stl", "none.stl")
+    for shape in (mesh, lost):
+        text = text.replace("</link>", shape, 1)
+    (tmp_path / "robot.urdf").write_text(text)
+    folder = tmp_path / "some folder"
+    folder.mkdir()
+    (folder / "foot.stl").write_text("")
+    lines = run(tmp_path, "--init", "--language", "zh").stdout.splitlines()
+    assert lines[2] == "  下一步：pupper-analysis check --language zh"
+    config = tmp_path / "pupper-analysis.toml"
+    config.write_text(f'{config.read_text()}packages = {{ dog = "some folder" }}\n')
+    lines = run(tmp_path).stdout.splitlines()
+    step = "audit robot.urdf --package 'dog=some folder'"
+    assert lines[2] == f"  next: pupper-analysis {step}"
+    found = answer(*shlex.split(step), folder=tmp_path).stdout
+    assert "none.stl" in found
+    assert "--package dog=DIR" not in found
 
 
 def test_next_command_after_warnings_is_audit_of_the_file(tmp_path: Path) -> None:

@@ -649,6 +649,8 @@ def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path)
     assert document.verdict.en == "AGREE"
     assert document.title.en == "v3 and new.xml, except the servos"
     assert document.findings[0].short.endswith("; stands 12 s")
+    assert document.next_step is not None
+    assert document.next_step.words[1:] == ("--kp", "5", "--kd", "0.1")
     new, own = (compile_file(path) for path in (tmp_path / "new.xml", ROOT / "mjcf/pupper_v3.xml"))
     gains = [-model.actuator_biasprm[0, 1:3] for model in (new, own)]
     assert gains[0] != pytest.approx(gains[1])

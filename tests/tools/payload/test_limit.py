@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, find_place, find_tool, with_payload
 from pupper_analysis.simulation import trial
@@ -615,3 +616,7 @@ def test_payload_by_commands_alone_is_the_largest_that_stand_holds_without_feedf
         endings[ratio] = pa.judge_stand(loaded, pa.solve_stand(loaded)).commands_alone
     assert endings[1.0] == "holds"
     assert endings[1.03] != "holds"
+    assert limit.failures_alone
+    torques = np.abs(limit.joint_torques)
+    efforts = [stated.upper for stated in list_driven_limits(robot)]
+    assert limit.motor_utilisation == pytest.approx(torques / efforts)

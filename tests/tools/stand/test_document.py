@@ -10,7 +10,11 @@ import pytest
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.present.documents.loads import format_share
-from pupper_analysis.present.documents.servos import exceeds_explicit_damping, round_bound
+from pupper_analysis.present.documents.servos import (
+    describe_servo_gains,
+    exceeds_explicit_damping,
+    round_bound,
+)
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.simulation.servo_bounds import SoftServos
@@ -60,6 +64,31 @@ def test_damping_beyond_an_explicit_controller_leads_to_the_gains(
 def test_a_bound_of_zero_damping_is_exceeded(factor: float | None, exceeds: bool) -> None:
     bounds = replace(SERVO_BOUNDS, largest_kd_factor=factor)
     assert exceeds_explicit_damping(bounds) is exceeds
+
+
+@pytest.mark.parametrize(
+    ("least", "largest", "integrator", "shown"),
+    [
+        (0.5, 1.5, "implicitfast", "kp 320 N m/rad (min 160), kd 16 N m s/rad (max 24)"),
+        (2.0, 1.5, "implicitfast", "kp 320 N m/rad (below min 640), kd 16 N m s/rad (max 24)"),
+        (0.5, 0.5, "Euler", "kp 320 N m/rad (min 160), kd 16 N m s/rad (above max 8)"),
+    ],
+)
+def test_gain_beyond_its_bound_is_stated_as_such(
+    least: float, largest: float, integrator: str, shown: str
+) -> None:
+    """Reference: the gains times the factors of the bounds."""
+    classes = tuple(replace(one, kp=320.0, kd=16.0) for one in SERVO_BOUNDS.classes)
+    bounds = replace(
+        SERVO_BOUNDS,
+        classes=classes,
+        least_kp_factor=least,
+        largest_kd_factor=largest,
+        integrator=integrator,
+    )
+    (line,) = describe_servo_gains(bounds, SERVOS)
+    assert isinstance(line, Text)
+    assert line.short == shown
 
 
 @pytest.mark.parametrize(
