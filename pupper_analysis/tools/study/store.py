@@ -93,12 +93,19 @@ class Store:
             request: Definition: the study, the digest of the study, and versions of libraries.
 
         Raises:
-            OutputError: If the file cannot be written.
-            StudyError: If an existing definition cannot be read or has another format; the file
-                is then unchanged.
+            OutputError: If the file cannot be written, or an existing file is no JSON (without
+                ``force`` of the run).
+            StudyError: If an existing definition has another format, for example; the file is then
+                unchanged.
         """
-        file = self.folder / "study.json"
-        is_rerun = file.is_file() and bool(self.read_request())
+        file, is_rerun = self.folder / "study.json", False
+        if file.is_file():
+            try:
+                is_rerun = bool(self.read_request())
+            except StudyError as error:
+                problem = error.diagnostic.values["problem"]
+                if getattr(problem, "code", "") != "study-not-readable":
+                    raise
         content = orjson.dumps({"format": FOLDER_FORMAT, **request}, option=orjson.OPT_INDENT_2)
         write_all([Writing(file, content + b"\n", EDITED_KIND if is_rerun else MODEL_KIND)])
 

@@ -18,6 +18,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import to_json
+from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.models.mjcf import to_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuild_robot
@@ -714,3 +715,18 @@ def test_table_of_an_outcome_has_truth_values_where_a_metric_is_missing(tmp_path
     assert outcome.front["stands"].tolist() == [True]
     table = study_document(outcome).blocks[-1]
     assert [cell.text for cell in (row[2] for row in table.rows)] == ["1", "0", "-"]
+
+
+def test_a_damaged_definition_is_replaced_with_force_only(tmp_path: Path) -> None:
+    """The message about the file proposes --force, which must then work."""
+    store = Store(tmp_path)
+    (tmp_path / "study.json").write_text("{\n")
+    with ensure_run() as run:
+        with pytest.raises(pa.OutputError, match="force"):
+            store.write_request({"digest": "x"})
+        assert (tmp_path / "study.json").read_text() == "{\n"
+        run.force = True
+        store.write_request({"digest": "x"})
+        (tmp_path / "study.json").write_text('{"format": 0}')
+        with pytest.raises(pa.StudyError, match="format"):
+            store.write_request({"digest": "x"})
