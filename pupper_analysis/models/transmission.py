@@ -273,6 +273,7 @@ class Drive(StrEnum):
     NONE = "no actuator"
     WRONG_SIGN = "a servo whose stiffness is negative"
     NO_STIFFNESS = "a servo without stiffness"
+    NO_GEAR = "an actuator with gear 0"
     VELOCITY = "velocity servo"
     TENDON = "an actuator at a tendon"
     FORCE = "an actuator that holds no position"
@@ -280,8 +281,8 @@ class Drive(StrEnum):
 
     @property
     def has_invalid_stiffness(self) -> bool:
-        """Whether gain and stiffness are zero, or the sign of one of them is wrong."""
-        return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
+        """Whether gain and stiffness, or the gear, are zero, or the sign of one is wrong."""
+        return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS, Drive.NO_GEAR)
 
     @property
     def has_other_law(self) -> bool:
@@ -396,7 +397,8 @@ _MIN_GRAVITY = 1e-6
 tuned: above rounding of an inclined axis."""
 
 _TYPE_PRIORITY = (
-    Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
+    Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS,
+    Drive.NO_GEAR,
 )  # fmt: skip
 """Types of actuators by descending priority, for a joint with actuators of different types."""
 
@@ -414,6 +416,8 @@ def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
     ):
         return Drive.OTHER
     law = read_actuator_law(model, motor)
+    if law.gear == 0:
+        return Drive.NO_GEAR
     stiffness, gain = law.joint_gains[0], law.gain * law.gear**2
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN

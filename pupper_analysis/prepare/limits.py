@@ -166,7 +166,7 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
         joints=[limit.joint for limit in null],
         file=origin.file,
         attribute=origin.attribute,
-        value=f"{high:g}" if origin.attribute == "effort" else f"{low:g} {high:g}",
+        value=f"{high:g}" if origin.attribute in ("effort", "gear") else f"{low:g} {high:g}",
         negative=null[0].code is EffortCode.NEGATIVE,
         **_proposed_limit_fields(robot, twin or _sibling_limit(robot, null)),
     )

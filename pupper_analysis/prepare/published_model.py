@@ -532,9 +532,9 @@ def _set_tendon_commands(
     return set(rows)
 
 
-_POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
+_POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS, Drive.NO_GEAR)
 """Types of actuators at joints that get no external servo in a simulation of the published model:
-position servos, also with a negative or zero stiffness.
+position servos, also with a negative or zero stiffness, and actuators with gear 0.
 """
 
 

@@ -475,6 +475,9 @@ def test_a_gear_of_zero_is_a_motor_without_torque(tmp_path: Path, servos: bool) 
     origin = robot.efforts[knee].origin
     assert origin is not None
     assert origin.attribute == "gear"
+    null = describe_zero_torque_limits(robot)
+    assert null is not None
+    assert null.values["value"] == "0"  # one number in the file, not a range
     assert list(np.flatnonzero(robot.effort_limits == 0.0)) == [knee]
     for drive in (model_with_servos(robot), model_with_servos(robot, 200.0, 10.0)):
         assert np.isfinite(drive.model.actuator_gainprm).all()

@@ -82,3 +82,24 @@ def test_coaxial_hinge_without_motor_is_play() -> None:
         mujoco.mj_kinematics(model, data)
         places.append(data.xmat[2])
     assert places[0] == pytest.approx(places[1])
+
+
+@pytest.mark.parametrize(
+    ("actuator", "drive"),
+    [
+        ('position joint="j" kp="5" gear="0"', Drive.NO_GEAR),
+        ('motor joint="j" gear="0"', Drive.NO_GEAR),
+        ('position joint="j" kp="0"', Drive.NO_STIFFNESS),
+        ('position joint="j" kp="5"', Drive.SERVO),
+    ],
+)
+def test_actuator_with_gear_of_zero_is_no_servo_without_stiffness(
+    actuator: str, drive: Drive
+) -> None:
+    """Reference: the attributes of the file; texts of `stand` state the type."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
+        f"<actuator><{actuator}/></actuator></mujoco>"
+    )
+    assert classify_joint_drive(model, 0) is drive
+    assert drive.has_invalid_stiffness is (drive is not Drive.SERVO)
