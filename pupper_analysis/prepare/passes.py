@@ -36,6 +36,8 @@ from pupper_analysis.models.additions import (
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import has_free_joint, name_elements, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import make_file_error
+from pupper_analysis.models.stated.mjcf import place_of_geom
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
     drives,
@@ -81,7 +83,7 @@ from pupper_analysis.prepare.start import (
 )
 from pupper_analysis.prepare.touching import copy_visual_option, discard_visuals
 from pupper_analysis.robot.build import build_robot, copy_metadata, with_additions
-from pupper_analysis.robot.contact import limb_ends
+from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.robot import Robot, defer_stages, release_borrowed_objects
@@ -474,9 +476,13 @@ def _find_feet(draft: Draft) -> PassOutput:
             feet = _add_short_legs(draft, feet, poses)
     except ModelError as error:
         problem = _explain_missing_feet(draft.mjcf.notes)
-        if problem is None:
-            raise
-        raise ModelError(draft.mjcf.path, problem) from error
+        if problem is not None:
+            raise ModelError(draft.mjcf.path, problem) from error
+        if error.cause.code in ("no-feet-found", "foot-touches-nothing"):
+            refusal = _explain_contact_bits(draft.mjcf)
+            if refusal is not None:
+                raise refusal from error
+        raise
     if not feet:
         return draft, ()
     messages = [notes.report_feet(footless, feet, given=names is not None)]
@@ -486,6 +492,33 @@ def _find_feet(draft: Draft) -> PassOutput:
         feet = _fit_ellipsoids_again(draft, feet, balls)
     robot = build_robot(add_contact_frames(footless, feet, balls))
     return replace(draft, built=robot, footless=footless, feet=tuple(feet)), messages
+
+
+def _explain_contact_bits(mjcf: MjcfFile) -> ModelError | None:
+    """Return the error that contype and conaffinity keep the geoms of limb ends from the floor.
+
+    Its source is the line of the first such geom. None if there is no such geom. Without a floor,
+    the bits of the floor are MuJoCo's default, 1.
+    """
+    model = mjcf.model
+    floor, bits = ground_geom(model), (model.geom_contype, model.geom_conaffinity)
+    floor_bits = (1, 1) if floor is None else (int(bits[0][floor]), int(bits[1][floor]))
+    touching = (bits[0] & floor_bits[1]) | (bits[1] & floor_bits[0])
+    at_end = np.isin(model.body_weldid[model.geom_bodyid], limb_ends(model))
+    geoms = np.flatnonzero(at_end & (touching == 0)).tolist()
+    if not geoms:
+        return None
+    names = [model.geom(geom).name or model.body(model.geom_bodyid[geom]).name for geom in geoms]
+    problem = diagnose(
+        "geoms-miss-the-floor",
+        geoms=list(dict.fromkeys(names)),
+        count=len(geoms),
+        contype=int(bits[0][geoms[0]]),
+        conaffinity=int(bits[1][geoms[0]]),
+        floor_contype=floor_bits[0],
+        floor_conaffinity=floor_bits[1],
+    )
+    return make_file_error(place_of_geom(mjcf, geoms[0], "touches"), problem)
 
 
 def _explain_missing_feet(messages: Sequence[Diagnostic]) -> Diagnostic | None:

@@ -75,3 +75,33 @@ def test_cylinder_with_the_fitted_radius_is_a_wheel_despite_rounding(
     )
     point: Any = SimpleNamespace(geom=0, radius=radius)
     assert is_ball(model, point) is ball
+
+
+@pytest.mark.parametrize(
+    ("bits", "floor_bits"), [((2, 2), (1, 1)), ((0, 0), (1, 1)), ((1, 1), (4, 2)), ((2, 1), (2, 4))]
+)
+def test_refusal_names_geoms_whose_contact_bits_exclude_the_floor(
+    bits: tuple[int, int], floor_bits: tuple[int, int], tmp_path: Path
+) -> None:
+    """Reference: MuJoCo finds no contact of the feet 1 cm in the floor."""
+    own, floor = (f'contype="{one}" conaffinity="{two}"' for one, two in (bits, floor_bits))
+    foot = f'<geom name="FOOT" {own} size="0.02" pos="0 0 -0.2"/>'
+    pair = quadruped(tmp_path, foot=foot, floor=True)
+    text = pair.mjcf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        text = text.replace('"FOOT"', f'"{leg}"', 1)
+    text = text.replace('<geom type="plane"', f'<geom {floor} type="plane"')
+    pair.mjcf.write_text(text.replace('<geom type="box"', f'<geom {own} type="box"'))
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[2] -= 0.05
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    with pytest.raises(pa.ModelError, match="share no bit with the floor") as caught:
+        pa.load_robot(*pair)
+    problem = caught.value.cause
+    assert problem.values["geoms"] == ("FL", "FR", "RL", "RR")
+    assert (problem.values["contype"], problem.values["conaffinity"]) == bits
+    line = text[: text.index('name="FL"')].count("\n") + 1
+    assert caught.value.source.endswith(f":{line}")
