@@ -256,18 +256,7 @@ def analyze_variant(
         verification, check = holding.result(), checking.result()
         sagging = sinking.result()
         gain_sweep = None if sweeping is None else sweeping.result()
-    failures = list(verification.failures)
-    failures += [
-        diagnose(
-            "models-deviate",
-            quantity=Term(quantity.name),
-            relative=quantity.relative,
-            whose=Term(quantity.edge),
-            where=quantity.location,
-        )
-        for quantity in check.quantities
-        if not quantity.passed
-    ]
+    failures = [*verification.failures, *_report_deviations(check)]
     thigh, calf = measure_leg_lengths(robot)
     statics = stand_statics(robot, stand)
     verdict = judge_simulation(robot, rigid_stand, verification, sagging, statics=statics)
@@ -300,6 +289,21 @@ def analyze_variant(
         failures=tuple(failures),
         servos=servos,
     )
+
+
+def _report_deviations(check: CrossCheck) -> list[Diagnostic]:
+    """Report the quantities of a cross-check whose deviation exceeds the tolerance."""
+    return [
+        diagnose(
+            "models-deviate",
+            quantity=Term(quantity.name),
+            relative=quantity.relative,
+            whose=Term(quantity.edge),
+            where=quantity.location,
+        )
+        for quantity in check.quantities
+        if not quantity.passed
+    ]
 
 
 def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
