@@ -316,8 +316,9 @@ _MAX_ARROW_RATIO = 0.35
 box around the support polygon [1]. Chosen, not tuned.
 """
 _MIN_ARROW_SIZE = 0.1
-"""Smallest length of the arrow of the largest contact force, divided by the size of the robot [1]:
-the support polygon of a humanoid is small. Chosen, not tuned.
+"""Smallest length of the arrow of the largest contact force, divided by the size of the robot [1].
+Otherwise the arrow is in proportion to the support polygon (`_MAX_ARROW_RATIO`), which is small for
+a humanoid. Chosen, not tuned.
 """
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 """Dark and light colour of limbs. In a stand, the legs on the side of the viewer are dark, other
@@ -432,13 +433,19 @@ def make_pose_figure(
         axes.set_axis_off()
         _draw_scale(axes, seen)
         _make_room_for_texts(axes, names)
+    drawing.add_legend(figure, _make_stand_handles(lines, has_swing=bool(stand.task.swing)))
+    return figure
+
+
+def _make_stand_handles(lines: Skeleton, *, has_swing: bool) -> list[Line2D | Patch]:
+    """Create the legend entries of a stand; ``has_swing`` adds the entry of swing feet."""
     base_label = "base" if lines.has_visuals else "base (collision shapes)"
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": colours.BLACK_COLOUR, "ms": 4}
-    handles: list[Line2D | Patch] = [
+    return [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
         *_make_link_handles(lines, {**leg, "ms": 3}),
         Line2D([], [], color=colours.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
-        *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
+        *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if has_swing else []),
         Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label=base_label),
         Line2D(
             [],
@@ -458,8 +465,6 @@ def make_pose_figure(
             label="support polygon",
         ),
     ]
-    drawing.add_legend(figure, handles)
-    return figure
 
 
 def _make_link_handles(lines: Skeleton, joint: Mapping[str, Any]) -> list[Line2D | Patch]:
