@@ -322,7 +322,7 @@ def shorten(value: object, other: object = None) -> str:
 
 
 def _shorten_container(value: object, other: object) -> str:
-    """Return a short text of a mapping, sequence, result or other object, for `shorten`."""
+    """Return a short text of a mapping, sequence, result or other object; see `shorten`."""
     if isinstance(value, Mapping):
         names = ", ".join(map(str, list(value)[:_MAX_SHOWN_ITEMS])) + (
             ", ..." if len(value) > _MAX_SHOWN_ITEMS else ""

@@ -280,8 +280,8 @@ def complete_pair_command(present: Path, missing: Path | None = None) -> str:
         missing: Typed second file, which does not exist; None if no second file was typed.
 
     Returns:
-        Command line; empty if ``present`` does not exist, or one of the files is no URDF or MJCF by
-        its suffix, for example.
+        Command line; empty if ``present`` does not exist or is no URDF or MJCF by its suffix, for
+        example. After `sync`, ``missing`` must also have a suffix of the other format.
     """
     context = click.get_current_context(silent=True)
     suffixes = _SUFFIXES_OF_OTHER_FORMAT.get(present.suffix.lower())

@@ -520,7 +520,8 @@ def list_restraining_ties(model: mujoco.MjModel, robot: Robot) -> list[CauseCand
     """List the ties of a robot with a fixed base (`list_ties`) that restrain driven joints.
 
     A loop that the base closes, such as a four-bar linkage, is omitted: its constraint determines
-    only dependent joints. A limited tendon is omitted too.
+    only dependent joints. A tendon that is only limited is omitted, because a limit is no
+    constraint of the closure.
 
     Args:
         model: Published model: the user's file as compiled.

@@ -347,8 +347,8 @@ def _report_missing_joints(
 ) -> Iterator[Diagnostic]:
     """Yield a message if a model lacks ``joints`` of another model.
 
-    ``target`` is the model of the JOINT in ``--map NAME=JOINT``, if both models lack joints of each
-    other, which may have other names; otherwise "".
+    If both models lack joints of each other, the joints may only have other names: ``target`` is
+    then the name of the model that contains JOINT in ``--map NAME=JOINT``; otherwise "".
     """
     if joints:
         yield diagnose(

@@ -497,8 +497,8 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
 
 
 _SIDES_HEIGHT = 0.5
-"""Distance between the first and the last mark of a quantity, relative to the distance of the rows
-[1]: equal deviations would cover each other. Chosen, not tuned.
+"""Vertical distance between the first and the last mark of a quantity, relative to the distance of
+the rows [1]. In one line, the marks of equal deviations would cover each other. Chosen, not tuned.
 """
 
 

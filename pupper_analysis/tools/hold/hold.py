@@ -598,7 +598,7 @@ def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | 
 
 
 def _hangs(robot: Robot) -> bool:
-    """Return True if the base is free in the MJCF; without MJCF, if it carries several limbs."""
+    """Return True if the base is free in the MJCF; without MJCF, by default (`has_limbs`)."""
     description = robot.description
     if description.converted == "mjcf":
         return has_limbs(UrdfTree.of(description.urdf), is_floating=False)

@@ -358,8 +358,8 @@ MIN_RESOLUTION = 1e-6
 DEFAULT_RESOLUTION = 0.02
 """Largest default resolution of the impulses [N s]. Chosen, not tuned."""
 _RESOLUTION_RATIO = 0.05
-"""Largest default resolution of the impulses, divided by the smallest tipping estimate [1]: with
-0.02 N s, all limits of a robot of 3 g were 0. Chosen, not tuned.
+"""Largest default resolution of the impulses, divided by the smallest tipping estimate [1]. Chosen,
+not tuned. The reason for a relative bound: with 0.02 N s, all limits of a robot of 3 g are 0.
 """
 
 

@@ -217,7 +217,7 @@ def _column_type(pa: Any, name: str) -> Any:
 
 
 def number_truth_values(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table of a study with the stored 1 and 0 in place of truth values.
+    """Return a copy of the table of a study in which truth values are the stored 1 and 0.
 
     Missing truth values are NaN.
     """

@@ -609,7 +609,7 @@ def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.Da
 
 
 def restore_truth_values(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table of a study with truth values in place of the stored 1 and 0.
+    """Return a copy of the table of a study in which the stored 1 and 0 are truth values.
 
     The type is ``bool``, or pandas' ``boolean`` if a value is missing.
     """
