@@ -133,7 +133,10 @@ def _shorten_coordinates(best: BestStance) -> str:
     largest = 1e3 * max((math.hypot(*moved) for moved in feet.values()), default=0.0)
     parts = [f"height {1e3 * best.stand.task.height:.1f} mm"] if best.stand.task.height else []
     parts += [f"feet moved ≤{largest:.0f} mm"] if round(largest) else []
-    for names, scale, unit in (("x", "y"), 1e3, "mm"), (ANGLE_COORDINATES, math.degrees(1.0), "deg"):
+    for names, scale, unit in (
+        (("x", "y"), 1e3, "mm"),
+        (ANGLE_COORDINATES, math.degrees(1.0), "deg"),
+    ):
         shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
         moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
         parts += [f"{', '.join(moved)} {unit}"] if moved else []
