@@ -58,7 +58,7 @@ def test_different_models_have_exit_status_1_and_the_first_difference(
     output = tmp_path / "all.json"
     result = run(models, "robot.urdf", "heavier.xml", "--json", str(output))
     assert (result.returncode, result.stderr) == (1, "")
-    verdict = "DISAGREE robot.urdf and heavier.xml: link base: mass 6 kg in the URDF, 7.5 kg"
+    verdict = "DISAGREE robot.urdf and heavier.xml: base: mass 6 kg / 7.5 kg (+25 %)"
     assert result.stdout.startswith(verdict)
     content = json.loads(output.read_text())
     assert (content["agree"], content["complete"]) == (False, True)
