@@ -209,7 +209,7 @@ def test_names_are_matched_without_a_common_prefix_and_by_a_mapping(
     assert contract(sources["gym_cfg.py"], path).findings == ()
     other = [f"motor{number}" for number in range(12)]
     path.write_text(text.replace(format_list(JOINTS), format_list(other)))
-    with pytest.raises(ModelError, match="joint"):
+    with pytest.raises(ModelError, match="init_kps is not read"):
         contract(path)
     names = dict(zip(other, JOINTS, strict=True))
     found = read_contract(URDF, path, names=names, stand=False)
@@ -426,7 +426,12 @@ def test_list_with_a_number_per_joint_under_an_unknown_key_is_reported(
     assert note.values["count"] == len(JOINTS)
     assert {fact.quantity for fact in found.facts if fact.source == name} == {"kp"}
     shown = [getattr(part, "short", "") for part in contract_document(found).findings]
-    assert "add joint names and [[contract.key]] for viscous_friction" in shown
+    line = {
+        ".py": 'joint_names = ["leg_front_r_1", ...]',
+        ".yaml": 'joint_names: ["leg_front_r_1", ...]',
+        ".json": '"joint_names": ["leg_front_r_1", ...]',
+    }[path.suffix]
+    assert f"add {line} to the {path.suffix}, then its keys to pupper-analysis.toml" in shown
 
 
 def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
@@ -440,7 +445,8 @@ def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
     )
     found = read_contract(URDF, path, stand=False)
     shown = [getattr(part, "short", "") for part in contract_document(found).findings]
-    assert "unknown key: add [[contract.key]] for motor_friction" in shown
+    entry = 'quantity = "friction", names = ["motor_friction"]'
+    assert f"pupper-analysis.toml: add a contract.key with {entry}" in shown
     rule = '[[contract.key]]\nquantity = "friction"\nnames = ["motor_friction"]\n'
     (tmp_path / "pupper-analysis.toml").write_text(rule)
     found = read_contract(URDF, path, stand=False)

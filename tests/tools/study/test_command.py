@@ -53,7 +53,7 @@ def test_fixed_base_names_the_command_that_holds_it(
     fault, step = err.splitlines()
     assert status == 2
     assert fault == (
-        f"error: {file}: {path.name} has a fixed base and cannot stand; "
+        f"error: {file}: {path.name} has a fixed base, so study does not apply; "
         "hold computes torques and payload"
     )
     assert step == f"  next: pupper-analysis hold {path}"
