@@ -81,6 +81,8 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     load, height, *others = _make_key_figures(analysis)
     failures = _list_failures(analysis)
     warnings = tuple(_select_warnings(analysis, first))
+    if not (failures or analysis.verified or analysis.verdict.passed):
+        failures, warnings = first, ()  # only the verdict on the stand is bad
     repeated: tuple[doc.Words, ...] = ()
     gains = tuple(describe_servo_gains(analysis.servos, analysis.verdict.servos))
     if gains:  # `stand` states the gains, too

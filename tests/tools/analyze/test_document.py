@@ -1,0 +1,23 @@
+"""The document of an analysis: reasons of a bad verdict."""
+
+from __future__ import annotations
+
+from pupper_analysis.present.document import get_english
+from pupper_analysis.tools.analyze.document import analysis_document
+from tests.support.stubs import ANALYSIS, SERVOS, Stub, judge_stance, run
+
+
+def test_bad_verdict_on_the_stand_is_the_reason_without_other_failures() -> None:
+    """Spot: FAILED was followed by the load and the gains. Reference: the failure of the run."""
+    verdict = judge_stance(run(0.0, passed=False), None, SERVOS)
+    assert not verdict.passed
+    quantities = ANALYSIS.check.quantities
+    agreeing = tuple(Stub(**{**vars(one), "passed": True}) for one in quantities)
+    check = Stub(**{**vars(ANALYSIS.check), "quantities": agreeing})
+    values = {**vars(ANALYSIS), "verdict": verdict, "verified": False, "check": check}
+    values["failures"] = ()
+    failures = analysis_document(Stub(**values)).failures
+    assert any("it sank" in get_english(line) for line in failures)
+    other = {**values, "failures": ANALYSIS.failures}
+    assert ANALYSIS.failures
+    assert "it sank" not in get_english(analysis_document(Stub(**other)).failures[0])
