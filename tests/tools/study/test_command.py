@@ -54,6 +54,6 @@ def test_fixed_base_names_the_command_that_holds_it(
     assert status == 2
     assert fault == (
         f"error: {file}: {path.name} has a fixed base, so study does not apply; "
-        "hold computes torques and payload"
+        "hold computes torques"
     )
     assert step == f"  next: pupper-analysis hold {path}"
