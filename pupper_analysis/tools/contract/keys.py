@@ -198,9 +198,9 @@ def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
     except InputError as error:
         raise make_input_error(path, error) from error
     table = values.get("contract", {})
-    entries = table.get("key", []) if isinstance(table, dict) else []
+    entries = table.get("key", []) if isinstance(table, dict) else None
     if not isinstance(entries, list):
-        raise ModelError(path, diagnose("contract-key-entry", problem="[[contract.key]]", known=()))
+        raise _make_entry_error(path, "[[contract.key]]")
     return tuple(rule for entry in entries for rule in _make_rules(entry, path))
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.contract import Contract, read_contract
+from pupper_analysis.tools.contract.keys import load_key_rules
 from tests.tools.contract.sources import ANGLES, JOINTS, MJCF, URDF, format_list, write_all
 
 LEG_PARTS = {"_1": 0.26, "_3": -0.52}
@@ -612,3 +613,11 @@ def test_order_of_the_network_is_read_beside_that_of_the_simulator(tmp_path: Pat
     found = compare(tmp_path, "deploy.yaml", f"{text}default_angles: {format_list(ANGLES[::-1])}\n")
     stated = values(found, "deploy.yaml", "default angle")
     assert stated == pytest.approx(dict(zip(JOINTS, ANGLES, strict=True)))
+
+
+@pytest.mark.parametrize("text", ["contract = 3\n", "contract = []\n", "[contract.key]\n"])
+def test_a_contract_that_is_no_list_of_keys_is_refused(tmp_path: Path, text: str) -> None:
+    """Without the error, the keys of the user would be missing silently."""
+    (tmp_path / "pupper-analysis.toml").write_text(text)
+    with pytest.raises(ModelError, match=re.escape("[[contract.key]]")):
+        load_key_rules("table", tmp_path / "deploy.yaml")
