@@ -976,7 +976,7 @@ class Evaluator:
         many = isinstance(node.value, list)
         return [self._to_plain(item) for item in node.value] if many else node.value
 
-    def _evaluate_starred(self, every: list[ast.expr], scope: Scope) -> list[LocatedValue]:
+    def _evaluate_items(self, every: list[ast.expr], scope: Scope) -> list[LocatedValue]:
         """Evaluate expressions; a starred expression yields all items."""
         return [
             part
@@ -1031,7 +1031,7 @@ class Evaluator:
 
     def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[LocatedValue]:
         """Return the values of a tuple, list or set, with starred elements expanded."""
-        return self._evaluate_starred(expression.elts, scope)
+        return self._evaluate_items(expression.elts, scope)
 
     _evaluate_list = _evaluate_set = _evaluate_tuple
 
@@ -1164,7 +1164,7 @@ class Evaluator:
 
     def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
         """Return the result of a call of a function, class or method."""
-        arguments = self._evaluate_starred(expression.args, scope)
+        arguments = self._evaluate_items(expression.args, scope)
         keywords: dict[str, LocatedValue] = {}
         for keyword in expression.keywords:
             content = self.evaluate(keyword.value, scope)

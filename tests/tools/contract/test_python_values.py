@@ -30,6 +30,7 @@ def to_plain(node: LocatedValue) -> object:
 
 
 KNOWN = {
+    "starred expression outside of a list": ("a = [1]\nx = *a\n", "<*a>"),
     "continue": ("x = {}\nfor n in 'a', 'b':\n    if n == 'a':\n        continue\n    x[n] = 1\n",
                  {"b": 1}),
     "break": ("x = []\nfor n in range(5):\n    if n:\n        break\n    x.append(n)\n", [0]),
