@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -647,7 +648,9 @@ def is_pattern(text: str, length: int = _NAME_LENGTH) -> bool:
     if _count_paths(plain, length) > _MAX_PATHS:
         return False
     try:
-        return bool(re.compile(text))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # nested sets, as in [[1,2]
+            return bool(re.compile(text))
     except (re.error, RecursionError, OverflowError):
         return False
 

@@ -272,7 +272,7 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
         yield Statement(
             "default angle", 0.0, angles.place, ".*", origin=Origin.DEFAULT, basis=basis
         )
-        entries = list(angles.value.items())
+        entries = [(str(pattern), node) for pattern, node in angles.value.items()]
         for pattern, node in reversed(entries) if first_wins else entries:
             whole = _extend_to_name_end(pattern) if first_wins else pattern
             yield node.make_statement("default angle", whole)
@@ -339,7 +339,7 @@ def list_target_bounds(clip: LocatedValue) -> Iterator[Statement]:
     The bounds apply to the action after scale and offset (Isaac Lab, ``JointAction``).
     """
     if isinstance(clip.value, dict):
-        pairs = [(pair, {"joint": pattern}) for pattern, pair in clip.table.items()]
+        pairs = [(pair, {"joint": str(pattern)}) for pattern, pair in clip.table.items()]
     else:
         count = len(clip.items)
         pairs = [(pair, {"index": k, "count": count}) for k, pair in enumerate(clip.items)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.contract import facts
+from pupper_analysis.tools.contract import facts, read_contract
 from pupper_analysis.tools.contract.facts import Request, read_yaml_nodes
 from pupper_analysis.tools.contract.readers import (
     decode_integers,
@@ -19,7 +19,7 @@ from pupper_analysis.tools.contract.readers import (
     read_onnx,
     tables,
 )
-from tests.tools.contract.sources import field, onnx, value
+from tests.tools.contract.sources import URDF, field, onnx, value, write_all
 
 
 def test_metadata_inputs_and_outputs_of_an_onnx_file_are_read(tmp_path: Path) -> None:
@@ -83,6 +83,20 @@ def test_numbers_as_keys_of_a_python_table_are_accepted(key: str, tmp_path: Path
     values = {statement.quantity: statement.value for statement in source.statements}
     assert values["kp"] == 20.0
     assert source.order == ("hip",)
+
+
+@pytest.mark.parametrize("name", ["mjlab_cfg.py", "isaac_cfg.py"])
+@pytest.mark.parametrize("key", ["3", "1.5", "'[[1,2].*'"])
+def test_keys_of_default_angles_that_are_no_joint_names_apply_to_no_joint(
+    name: str, key: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Numbers as keys ended in a traceback, a nested set of characters in Python's warning."""
+    path = write_all(tmp_path)[name]
+    path.write_text(path.read_text().replace('"leg_.*_r_1"', key))
+    found = read_contract(URDF, path, stand=False)
+    assert not recwarn.list
+    angles = {fact.joint: fact.value for fact in found.facts if fact.quantity == "default angle"}
+    assert {angles[f"leg_front_{side}_1"] for side in "rl"} == {0.0, -0.26}
 
 
 @pytest.mark.parametrize("name", ["Go2", "go2", ""])
