@@ -33,6 +33,7 @@ from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import compute_command_lead
@@ -155,11 +156,10 @@ def compute_smallest_stiffness(
     sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
     # Horizontal translations and yaw of the robot are ignored if no contact resists these motions.
-    yaw = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
     if system.feet == "sliding":
-        held = np.vstack([np.eye(2, n), yaw])
+        held = np.vstack([np.eye(2, n), _make_yaw_row(config)])
     elif len(sticks) == 1 and _can_yaw_freely(system):
-        held = np.vstack([held, yaw])
+        held = np.vstack([held, _make_yaw_row(config)])
     if system.robot.fixed_parts:
         held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
@@ -171,6 +171,13 @@ def compute_smallest_stiffness(
     real, _, scale, *_ = lapack.dggev(*both, compute_vl=0, compute_vr=0)
     values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
     return float(values.min())
+
+
+def _make_yaw_row(config: Configuration) -> Array:
+    """Return the Jacobian (nv,) by qvel of the yaw rate of a free base."""
+    row = np.zeros(config.robot.nv)
+    row[3:6] = config.base_rotation()[2]
+    return row
 
 
 def _can_yaw_freely(system: SagEquilibrium) -> bool:
