@@ -109,6 +109,11 @@ class MeshFiles:
             `notes` report the reason.
         """
         file = str(mesh.get("filename"))
+        if not file.strip():
+            self._record_loss(
+                diagnose("mesh-filename-empty"), self._locate_mesh(mesh), touches=touches
+            )
+            return None
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
         if path is None:
@@ -150,6 +155,11 @@ class MeshFiles:
         if (path, scale) not in self._names:
             self._names[path, scale] = make_unique_name(path.stem, self._taken)
         return self._names[path, scale]
+
+    def _locate_mesh(self, mesh: etree._Element) -> str:
+        """Return the link and the line of a ``<mesh>``, to name a mesh without a filename."""
+        link = next((str(link.get("name")) for link in mesh.iterancestors("link")), "")
+        return f"{link} ({self.urdf.path.name}:{mesh.sourceline})"
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
         """Return the file name with which MuJoCo's URDF importer finds a collision ``<mesh>``.

@@ -27,6 +27,7 @@ from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj
 from pupper_analysis.tools.convert import Conversion
 from tests.support.conversions import compile_file, format_shape
+from tests.support.legged import edited_by, quadruped
 from tests.support.robots import arm, urdf_text
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
@@ -325,3 +326,24 @@ def test_obj_text_equals_that_of_trimesh(name: str | None, count: int) -> None:
         mesh, include_color=False, include_texture=False, include_normals=False
     )
     assert meshes.format_obj(mesh.vertices, mesh.faces, name) == expected.encode()
+
+
+@pytest.mark.parametrize(("shape", "severity"), [("visual", "warning"), ("collision", "error")])
+@pytest.mark.parametrize("name", ["", "  "])
+def test_empty_filename_of_a_mesh_is_named_with_its_link_and_line(
+    shape: str, severity: str, name: str, tmp_path: Path
+) -> None:
+    """The message was "file '' is missing", and the note had no name at all."""
+    mesh = f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}></link>'
+    urdf = quadruped(tmp_path).urdf
+    edited_by(urdf, lambda text: text.replace("</link>", mesh))
+    findings = [one for one in pa.audit_model(urdf).findings if one.rule == "mesh-missing"]
+    assert {one.diagnostic.code for one in findings} == {"mesh-without-filename"}
+    assert {one.severity for one in findings} == {severity}
+    assert [one.element for one in findings][:2] == ["link 'trunk'", "link 'FL_hip'"]
+    assert [one.line for one in findings][:2] == [2, 3]
+    assert len(findings) == 13
+    robot = pa.load_robot(urdf, fixed_base=True)
+    (note,) = [note for note in robot.notes if note.code == "meshes-left"]
+    assert note.values["why"].code == "mesh-filename-empty"
+    assert note.values["files"][0] == "trunk (robot.urdf:2)"

@@ -53,15 +53,26 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
-    groups: dict[tuple[bool, bool, str, str], list[_MissingMesh]] = {}
+    # The folder is None for an empty filename.
+    groups: dict[tuple[bool, bool, str, str | None], list[_MissingMesh]] = {}
     for missing in _list_missing_meshes(robot):
         package, has_path, _ = missing.name.removeprefix("package://").partition("/")
         package = package if has_path and missing.name.startswith("package://") else ""
-        folder = "" if package else missing.name.rpartition("/")[0]
+        folder: str | None = "" if package else missing.name.rpartition("/")[0]
+        if not missing.name.strip():
+            folder = None
         touches = (missing.touches or refused) and not package
         groups.setdefault((missing.pointer, touches, package, folder), []).append(missing)
-    for (pointer, touches, package, _), group in groups.items():
+    for (pointer, touches, package, folder), group in groups.items():
         names = tuple(dict.fromkeys(missing.name for missing in group))
+        if folder is None:
+            for missing in group:
+                severity = None if touches else Severity.WARNING
+                message = diagnose("mesh-without-filename")
+                yield CheckFinding(
+                    kind, missing.owner, message, place=missing.place, severity=severity
+                )
+            continue
         if pointer:
             message = diagnose("mesh-is-lfs-pointer", meshes=names)
         else:
@@ -140,7 +151,8 @@ def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]
                 place = Place(robot.file.path, mesh.sourceline)
                 pointer = any(map(is_pointer, robot.file.list_mesh_places(name)))
                 yield _MissingMesh(name, owner, place, pointer, name in touching)
-            seen.add(name)
+            if name.strip():  # each element without a filename is reported
+                seen.add(name)
 
 
 @rule
