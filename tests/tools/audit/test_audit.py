@@ -205,6 +205,7 @@ SLIPS: list[tuple[Any, ...]] = [
     ("start-outside-limits", "mjcf key home", '', '0.9014 -1.5083', '1.5 -1.5083'),
     ("keyframe-ctrl", "mjcf key home", '', 'ctrl="0 0.9014', 'ctrl="0 1.5'),
     ("start-in-floor", "mjcf key home", '', '0 0 0.158', '0 0 0.14'),
+    ("gravity-compensated", "mjcf body base_link", '', '>', ' gravcomp="0.5">'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '-1.62'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '9.81'),
     ("gravity-unusual", "mjcf option", '', '-9.81', '0'),
@@ -1855,3 +1856,34 @@ def test_visual_geoms_add_no_mass_if_inertias_are_not_computed_from_geoms(tmp_pa
         findings = [item for item in audit.findings if item.rule == "visual-adds-mass"]
         found = [item.element for item in findings]
         assert found == ["geom 'b_box'"] * count, option
+
+
+@pytest.mark.parametrize(
+    ("head", "joint", "option", "severity"),
+    [
+        ('gravcomp="0.5"', "", "", "warning"),
+        ('gravcomp="1.5"', "", "", "warning"),
+        ('gravcomp="0.5"', 'actuatorgravcomp="true"', "", "note"),
+        ('gravcomp="-0.5"', "", "", None),
+        ('gravcomp="0.5"', "", '<flag gravity="disable"/>', None),
+    ],
+)
+def test_weight_that_gravcomp_bears_is_that_of_mujoco(
+    head: str, joint: str, option: str, severity: str | None, tmp_path: Path
+) -> None:
+    """Reference: MuJoCo's qfrc_gravcomp along gravity, of a slide with 2 kg below 3 kg."""
+    path = tmp_path / "robot.xml"
+    path.write_text(f"""<mujoco><option>{option}</option><worldbody><body><joint type="slide"
+      axis="0 0 1" {joint}/><geom size="0.1" mass="3"/><body name="tip" {head}>
+      <geom size="0.1" mass="2"/></body></body></worldbody></mujoco>""")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    found = find_findings(audit_model(path), "gravity-compensated")
+    assert [one.severity for one in found] == ([] if severity is None else [severity])
+    for one in found:
+        assert one.diagnostic.values["weight"].value == pytest.approx(data.qfrc_gravcomp[0])
+        assert one.diagnostic.values["share"] == pytest.approx(data.qfrc_gravcomp[0] / (5 * 9.81))
+        assert data.qfrc_actuator[0] == 0.0  # no motor bears this weight
+    if severity is None:
+        assert data.qfrc_gravcomp[0] == 0.0

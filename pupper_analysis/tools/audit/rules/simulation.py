@@ -49,6 +49,37 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 @rule
+def gravity_compensated(robot: MjcfModel) -> Iterator[CheckFinding]:
+    """Find moving bodies whose weight `gravcomp` bears, in one finding.
+
+    The severity is NOTE if joints with ``actuatorgravcomp`` add the compensation to the torques of
+    their motors. MuJoCo ignores all values if none is positive, or without gravity.
+    """
+    model = robot.mj_model
+    if model is None or not (model.body_gravcomp > 0).any() or not model.opt.gravity.any():
+        return
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value:
+        return
+    borne = model.body_gravcomp * model.body_mass * (model.body_weldid > 0)
+    bodies = np.flatnonzero(borne)
+    if not bodies.size:
+        return
+    by_motors = bool(model.jnt_actgravcomp.any())
+    weight = float(borne.sum() * np.linalg.norm(model.opt.gravity))
+    message = diagnose(
+        "gravity-compensated",
+        value=float(model.body_gravcomp[bodies[0]]),
+        more=[model.body(body).name for body in bodies[1:].tolist()],
+        weight=Quantity(weight, "N"),
+        share=float(borne.sum() / model.body_mass[model.body_weldid > 0].sum()),
+        motors=by_motors,
+    )
+    severity = Severity.NOTE if by_motors else None
+    name = model.body(int(bodies[0])).name
+    yield CheckFinding("body", name, message, "gravcomp", severity=severity)
+
+
+@rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find models in which the armature of all driven joints and of their actuators is zero."""
     if robot.mj_model is None:
