@@ -135,6 +135,8 @@ def judge_simulation(
     unknown, masses = None, describe_missing_masses(loaded)
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
+        if (loose := describe_missing_friction(robot, stand, statics)) is not None:
+            fed = replace(fed, passed=False, failures=(loose, *fed.failures))
         strained = describe_loaded_passive_joints(robot, statics)
         if strained is not None and not fed.passed:
             fed = replace(fed, failures=(*fed.failures, strained))
@@ -505,21 +507,66 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     )
 
 
-def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
-    """Create the message that feet without friction stand by the friction of the added ground.
+def _list_ineffective_frictions(robot: Robot) -> dict[str, float]:
+    """Return {foot: friction coefficient of its geom} where the added ground has the larger one.
 
-    MuJoCo uses the larger coefficient of two geoms with equal priority.
+    MuJoCo uses the larger coefficient of two geoms with equal priority. Empty if the files have a
+    ground.
     """
     if all(note.code != "ground-added" for note in robot.notes):
-        return None
+        return {}
     frictions = robot.mj_model.geom_friction[:, 0]
-    feet = [foot for geom, foot in robot.foot_geoms.items() if frictions[geom] < MIN_FOOT_FRICTION]
-    slippery = {foot: robot.contacts[foot].sliding_friction for foot in feet}
-    borne = [foot for foot, friction in slippery.items() if friction >= MIN_FOOT_FRICTION]
-    if not borne:
+    own = {foot: float(frictions[geom]) for geom, foot in robot.foot_geoms.items()}
+    return {
+        foot: friction
+        for foot, friction in own.items()
+        if 0 <= friction < robot.contacts[foot].sliding_friction
+    }
+
+
+def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
+    """Create the message that the friction of feet has no effect beside the added ground's."""
+    own = _list_ineffective_frictions(robot)
+    if not own:
         return None
-    friction = max(slippery[foot] for foot in borne)
-    return diagnose("friction-of-added-ground", feet=borne, friction=friction)
+    return diagnose(
+        "friction-of-added-ground",
+        feet=list(own),
+        friction=max(robot.contacts[foot].sliding_friction for foot in own),
+        own=min(own.values()),
+        none=min(own.values()) < MIN_FOOT_FRICTION,
+    )
+
+
+_FRICTION_ATOL = 1e-6
+"""Absolute tolerance [1] with which the friction that a stand requires is compared with that of a
+foot. Chosen, above the rounding of forces that balance."""
+
+
+def describe_missing_friction(
+    robot: Robot, stand: Stand, statics: GravityCompensation
+) -> Diagnostic | None:
+    """Create the message that a foot of a stand needs more friction than the files state.
+
+    The files have no ground, and the added ground has the larger friction. Feet on surfaces that
+    the task specifies are not examined.
+
+    Returns:
+        The message about the foot with the largest lack; None without such a foot.
+    """
+    own = _list_ineffective_frictions(get_loaded_robot(robot))
+    needed = {
+        foot: utilisation * robot.contacts[foot].sliding_friction
+        for foot, utilisation in statics.friction_utilisation.items()
+        if foot in own and foot not in stand.task.contacts
+    }
+    lacks = {foot: need - own[foot] for foot, need in needed.items()}
+    worst = max(lacks, key=lacks.__getitem__, default=None)
+    if worst is None or lacks[worst] <= _FRICTION_ATOL:
+        return None
+    return diagnose(
+        "friction-below-need", subject=("foot", worst), need=needed[worst], own=own[worst]
+    )
 
 
 _GRAVITY_CODES = ("gravity-not-the-earths", "weight-is-compensated")
