@@ -21,7 +21,7 @@ from glob import escape
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,6 +41,11 @@ _P = ParamSpec("_P")
 
 _T = TypeVar("_T")
 """Type of the result of a function whose arguments `check_arguments` checks."""
+
+
+def is_finite_number(value: object) -> TypeGuard[float]:
+    """Return True for a finite int or float; False for a bool."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def check_finite(name: str, value: object) -> float:

@@ -6,7 +6,6 @@ The baseline is a text file with known remarks, so that only new remarks fail.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from pupper_analysis.base.arguments import is_finite_number
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vector, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
@@ -509,12 +509,12 @@ def values_agree(first: Any, second: Any) -> bool:
             values_agree(first[key], second[key]) for key in first
         )
     first_leaves, second_leaves = _flatten_value(first), _flatten_value(second)
-    sizes = [abs(leaf) for leaf in (*first_leaves, *second_leaves) if _is_finite(leaf)]
+    sizes = [abs(leaf) for leaf in (*first_leaves, *second_leaves) if is_finite_number(leaf)]
     if any(isinstance(leaf, str) for leaf in first_leaves):
         sizes = []  # mixed content: each number has its own scale
     return len(first_leaves) == len(second_leaves) and all(
         abs(a - b) <= _VALUE_RTOL * max([*sizes, abs(a), abs(b)])
-        if _is_finite(a) and _is_finite(b)
+        if is_finite_number(a) and is_finite_number(b)
         else repr(a) == repr(b)
         for a, b in zip(first_leaves, second_leaves, strict=True)
     )
@@ -531,8 +531,3 @@ def _flatten_value(value: Any) -> list[Any]:
             {},
         ]
     return [value]
-
-
-def _is_finite(value: Any) -> bool:
-    """Return True for a finite int or float; False for a bool."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeGuard
 
+from pupper_analysis.base.arguments import is_finite_number
 from pupper_analysis.base.diagnostics import format_number, format_pair
 from pupper_analysis.base.results import shorten
 from pupper_analysis.base.units import (
@@ -80,7 +80,7 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
     if first.kind == "mass" and len(diff.edited_masses) == 1:  # the link may be fixed to another
         ((link, (old, new)),) = diff.edited_masses.items()
         name = doc.Name(link)
-    if not (_is_number(old) and _is_number(new)):
+    if not (is_finite_number(old) and is_finite_number(new)):
         return named
     old_text, new_text = format_pair(old, new, ".4g")
     edited = text(
@@ -93,11 +93,6 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         more=count - 1 or None,
     )
     return replace(named, short=edited.en)
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    """Return True for a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _select_next_command(diff: ModelDiff) -> str:
