@@ -367,23 +367,25 @@ class ControlledStand:
                 displaced.
         """
         data = copy_data(self.model, self._start)
-        target, stiff = data.qpos[self._places].copy(), kp[self._driven]
+        qpos, qvel, ctrl = data.qpos, data.qvel, data.ctrl  # views: an access to MjData is slow
+        target, stiff = qpos[self._places], kp[self._driven]
         damp = kd[self._driven]
-        mujoco.mj_integratePos(self.model, data.qpos, mode._direction[: self.model.nv], 1.0)
-        data.qvel += mode._direction[self.model.nv :]
+        mujoco.mj_integratePos(self.model, qpos, mode._direction[: self.model.nv], 1.0)
+        qvel += mode._direction[self.model.nv :]
+        error, velocity = target - qpos[self._places], qvel[self._dofs]
         commands = [self._torques] * (self.delay_steps + 1)
         num_steps = round(duration / self.timestep)
-        shift = half_shift = half_speed = end_speed = 0.0
+        half_shift = half_speed = end_speed = 0.0
         for step in range(num_steps):
             if step % self.steps == 0:
-                error = target - data.qpos[self._places]
-                commands.append(self._torques + stiff * error - damp * data.qvel[self._dofs])
+                commands.append(self._torques + stiff * error - damp * velocity)
             else:
                 commands.append(commands[-1])
-            data.ctrl[self._controls] = commands[-1 - self.delay_steps]
+            ctrl[self._controls] = commands[-1 - self.delay_steps]
             mujoco.mj_step(self.model, data)
-            speed = float(np.abs(data.qvel[self._dofs]).max())
-            shift = float(np.abs(data.qpos[self._places] - target).max())
+            error, velocity = target - qpos[self._places], qvel[self._dofs]
+            speed = float(np.maximum.reduce(np.abs(velocity)))
+            shift = float(np.maximum.reduce(np.abs(error)))
             if not speed < _MAX_JOINT_SPEED or shift > _MAX_SHIFT:
                 return False
             if 2 * step < num_steps:
