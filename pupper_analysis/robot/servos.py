@@ -206,6 +206,8 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
 
 def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the ids of the position servos that are not in ``known``, for example on tendons."""
+    if len(set(known.tolist())) == model.nactuator:  # of most robots; the search takes 0.1 ms
+        return np.zeros(0, np.int64)
     servo = (
         (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value)
         & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE.value)
