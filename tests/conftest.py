@@ -20,6 +20,7 @@ from hypothesis.internal.conjecture import providers
 
 import pupper_analysis as pa
 from tests.support.repository import ROOT
+from tests.support.shared_rollouts import share_rollouts
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -170,3 +171,14 @@ def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 def tiny(tiny_files: Files) -> pa.Robot:
     """Robot of ``tiny_files``."""
     return pa.load_robot(urdf=tiny_files.urdf, mjcf=tiny_files.mjcf, feet=["foot"], as_is=True)
+
+
+@pytest.fixture
+def shared_rollouts() -> Iterator[None]:
+    """Simulate rollouts with equal arguments once per process, among the tests with this fixture.
+
+    For tests that compare several results about the same robot. A test that asserts that a
+    repeated computation returns the same numbers must not use it.
+    """
+    with share_rollouts():
+        yield

@@ -30,6 +30,7 @@ from tests.support.variants import load
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_rollouts")
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_every_variant_is_as_predicted_and_verified_if_its_file_stands(name: str) -> None:
     """References: MuJoCo's residual, and simulation of the stand. In bare MuJoCo the file of
@@ -199,6 +200,7 @@ def test_analysis_of_an_unreachable_stance_is_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_rollouts")
 def test_analysis_judges_the_stand_on_rigid_ground(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `stand` does: the nominal stand is then compared with the file only once."""
     judged, real = [], analysis_module.judge_simulation
@@ -215,6 +217,7 @@ def test_analysis_judges_the_stand_on_rigid_ground(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_rollouts")
 def test_gain_sweep_is_computed_only_if_it_is_printed_written_or_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

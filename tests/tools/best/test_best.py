@@ -146,6 +146,7 @@ def test_redundant_joints_of_the_best_stance_equal_its_task(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_rollouts")
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_largest_payload_holds_in_mujoco(name: str) -> None:
     """The trial with the payload survives nudges; with 5 % more the verdict fails."""

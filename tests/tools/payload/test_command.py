@@ -11,6 +11,8 @@ import pupper_analysis as pa
 from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 
+pytestmark = pytest.mark.usefixtures("shared_rollouts")
+
 
 @pytest.mark.slow
 def test_continuous_payload_equals_the_payload_at_that_effort(

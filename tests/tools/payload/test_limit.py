@@ -44,6 +44,8 @@ from tests.support.random_legged import draw_robot, irregular_biped, ring, write
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
+pytestmark = pytest.mark.usefixtures("shared_rollouts")
+
 ON_TOP = (0.0, 0.0, 0.05)
 STIFF = {"kp": 60.0, "kd": 0.8}
 
