@@ -7,12 +7,13 @@ from __future__ import annotations
 import math
 import os
 import pty
+import shutil
 import sys
 from array import array
 from pathlib import Path
 from subprocess import PIPE, Popen, run
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,6 +34,7 @@ from pupper_analysis.tools.fit.record import recorder
 from pupper_analysis.tools.fit.record.bridge import open_bridge
 from pupper_analysis.tools.fit.record.recorder import (
     MAX_JOINT_SPEED,
+    Recording,
     _compute_com_margin,
     _RecordingEndedError,
     _RecordingSession,
@@ -73,13 +75,34 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+class SoundRecording(NamedTuple):
+    """Recording of a robot without faults, which several tests read and none changes.
+
+    Attributes:
+        path: File of the recorded stands.
+        simulated: Simulated robot after the recording.
+        result: Result of the recording.
+    """
+
+    path: Path
+    simulated: SimulatedRobot
+    result: Recording
+
+
+@pytest.fixture(scope="module")
+def sound(robot: Robot, plan: Path, tmp_path_factory: pytest.TempPathFactory) -> SoundRecording:
+    path, one = tmp_path_factory.mktemp("sound") / "stands.csv", SimulatedRobot(robot, 3)
+    result = record_stands(robot, plan, path, one, one)
+    assert result.complete
+    return SoundRecording(path, one, result)
+
+
 @pytest.mark.slow
 def test_recorded_rows_equal_the_statics_of_the_robot_at_rest(
-    robot: Robot, plan: Path, tmp_path: Path
+    robot: Robot, plan: Path, sound: SoundRecording, tmp_path: Path
 ) -> None:
     """Reference: virtual work of the perturbed robot's weight. Commands keep the speed limit."""
-    path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
-    found = record_stands(robot, plan, path, one, one)
+    path, one, found = Path(shutil.copy(sound.path, tmp_path)), sound.simulated, sound.result
     assert found.complete
     assert found.recorded_stands == ("s0", "s1", "s2", "s3")
     read, planned = read_stands(path).order_joints(robot), read_stands(plan)
@@ -474,14 +497,6 @@ class Faulty(SimulatedRobot):
         return self.now() >= self.key
 
 
-@pytest.fixture(scope="module")
-def sound(robot: Robot, plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Array:
-    """Return the recorded positions of a robot without faults."""
-    path, one = tmp_path_factory.mktemp("sound") / "stands.csv", SimulatedRobot(robot, 3)
-    assert record_stands(robot, plan, path, one, one).complete
-    return read_stands(path).position
-
-
 STOPPED = ["servo-does-not-follow", "rows-withdrawn"]
 
 
@@ -498,7 +513,7 @@ STOPPED = ["servo-does-not-follow", "rows-withdrawn"]
 def test_recording_holds_on_a_fault_and_resumes_later(
     robot: Robot,
     plan: Path,
-    sound: Array,
+    sound: SoundRecording,
     tmp_path: Path,
     fault: dict[str, Any],
     codes: list[str],
@@ -522,7 +537,8 @@ def test_recording_holds_on_a_fault_and_resumes_later(
     assert later.complete
     assert path.read_text().splitlines()[: len(rows)] == rows
     read = dict(zip(read_stands(path).names, read_stands(path).position, strict=True))
-    assert max(np.abs(read[f"s{at}"] - sound[at]).max() for at in range(4)) < 0.02
+    undisturbed = read_stands(sound.path).position
+    assert max(np.abs(read[f"s{at}"] - undisturbed[at]).max() for at in range(4)) < 0.02
 
 
 HELD = """import os, signal, sys
@@ -582,15 +598,15 @@ def test_recording_waits_for_a_late_message(robot: Robot, plan: Path, tmp_path: 
 
 @pytest.mark.slow
 def test_recording_waits_for_rest_after_a_slip(
-    robot: Robot, plan: Path, sound: Array, tmp_path: Path
+    robot: Robot, plan: Path, sound: SoundRecording, tmp_path: Path
 ) -> None:
     """A push of 4 cm/s during averaging would displace joints by 10 mrad after 0.2 s."""
-    still, one = SimulatedRobot(robot, 3), Faulty(robot, 3)
-    assert record_stands(robot, plan, tmp_path / "still", still, still).complete
+    one = Faulty(robot, 3)
     one.slip = 1.6
     assert record_stands(robot, plan, tmp_path / "slips", one, one).complete
-    assert one.now() > still.now() + 0.5  # it was waited for
-    assert np.abs(read_stands(tmp_path / "slips").position - sound).max() < 0.02
+    assert one.now() > sound.simulated.now() + 0.5  # it was waited for
+    difference = read_stands(tmp_path / "slips").position - read_stands(sound.path).position
+    assert np.abs(difference).max() < 0.02
 
 
 def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
