@@ -275,19 +275,24 @@ class SpecTree:
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Add a plane with MuJoCo's default contact parameters as floor (`add_plane`).
 
-        The contact bits permit collisions with each geom whose ``contype`` is not 0.
+        The contact bits permit collisions with each geom whose ``contype`` is not 0. The friction
+        of the plane is at most the friction of each geom, because MuJoCo uses the larger
+        coefficient of two geoms with equal priority: the friction of a foot has an effect.
 
         Args:
             beneath: Height z [m] of a new body to which the plane is added; existing bodies keep
                 their ids. If None, the plane is added to the world body.
         """
         bits, name = 1, make_unique_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
+        frictions = [geom.friction for geom in self.spec.geoms]
         for geom in self.spec.geoms:
             bits |= int(geom.contype)
         body = self.spec.worldbody
-        return add_plane(
+        floor = add_plane(
             body if beneath is None else body.add_body(pos=(0, 0, beneath)), name, bits
         )
+        floor.friction = np.min([floor.friction, *frictions], axis=0)
+        return floor
 
     def add_imu(self, body: str, site: str) -> None:
         """Add a gyro and an accelerometer at a site.

@@ -56,7 +56,6 @@ from pupper_analysis.robot.build import (
     report_placeholder_inertias,
 )
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.contact import MIN_FOOT_FRICTION
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
@@ -135,8 +134,6 @@ def judge_simulation(
     unknown, masses = None, describe_missing_masses(loaded)
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
-        if (loose := describe_missing_friction(robot, stand, statics)) is not None:
-            fed = replace(fed, passed=False, failures=(loose, *fed.failures))
         strained = describe_loaded_passive_joints(robot, statics)
         if strained is not None and not fed.passed:
             fed = replace(fed, failures=(*fed.failures, strained))
@@ -495,77 +492,13 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
         messages.insert(0, diagnose("joints-locked-by-range", joints=locked.tolist()))
     assumptions = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     gravity_notes = (note for note in loaded.notes if note.code in _GRAVITY_CODES)
-    friction = _describe_friction_of_added_ground(loaded)
     return (
         *loaded.compute_once(_list_impossible_bodies),
         *assumptions,
-        *(() if friction is None else (friction,)),
         *gravity_notes,
         *report_placeholder_efforts(robot),
         *report_placeholder_inertias(robot),
         *describe_import_failure(robot),
-    )
-
-
-def _list_ineffective_frictions(robot: Robot) -> dict[str, float]:
-    """Return {foot: friction coefficient of its geom} where the added ground has the larger one.
-
-    MuJoCo uses the larger coefficient of two geoms with equal priority. Empty if the files have a
-    ground.
-    """
-    if all(note.code != "ground-added" for note in robot.notes):
-        return {}
-    frictions = robot.mj_model.geom_friction[:, 0]
-    own = {foot: float(frictions[geom]) for geom, foot in robot.foot_geoms.items()}
-    return {
-        foot: friction
-        for foot, friction in own.items()
-        if 0 <= friction < robot.contacts[foot].sliding_friction
-    }
-
-
-def _describe_friction_of_added_ground(robot: Robot) -> Diagnostic | None:
-    """Create the message that the friction of feet has no effect beside the added ground's."""
-    own = _list_ineffective_frictions(robot)
-    if not own:
-        return None
-    return diagnose(
-        "friction-of-added-ground",
-        feet=list(own),
-        friction=max(robot.contacts[foot].sliding_friction for foot in own),
-        own=min(own.values()),
-        none=min(own.values()) < MIN_FOOT_FRICTION,
-    )
-
-
-_FRICTION_ATOL = 1e-6
-"""Absolute tolerance [1] with which the friction that a stand requires is compared with that of a
-foot. Chosen, above the rounding of forces that balance."""
-
-
-def describe_missing_friction(
-    robot: Robot, stand: Stand, statics: GravityCompensation
-) -> Diagnostic | None:
-    """Create the message that a foot of a stand needs more friction than the files state.
-
-    The files have no ground, and the added ground has the larger friction. Feet on surfaces that
-    the task specifies are not examined.
-
-    Returns:
-        The message about the foot with the largest lack; None without such a foot.
-    """
-    own = _list_ineffective_frictions(get_loaded_robot(robot))
-    needed = {
-        foot: utilisation * robot.contacts[foot].sliding_friction
-        for foot, utilisation in statics.friction_utilisation.items()
-        if foot in own and foot not in stand.task.contacts
-    }
-    lacks = {foot: need - own[foot] for foot, need in needed.items()}
-    worst = max(lacks, key=lacks.__getitem__, default=None)
-    if worst is None or lacks[worst] <= _FRICTION_ATOL:
-        return None
-    return diagnose(
-        "friction-below-need", subject=("foot", worst), need=needed[worst], own=own[worst]
     )
 
 

@@ -20,7 +20,6 @@ from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import (
     describe_frictionless_feet,
     describe_impossible_inertias,
-    describe_missing_friction,
     describe_missing_masses,
     judge_stand,
     list_file_remarks,
@@ -189,41 +188,6 @@ def test_verdict_states_the_weight_that_gravcomp_bears(
         values = remarks["weight-is-compensated"].values
         assert values["mass"].value == pytest.approx(borne)  # type: ignore[union-attr]
         assert values["total"].value == pytest.approx(model.body_mass.sum())  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize(("friction", "named"), [("0", True), ("0.6", True), ("1.2", False)])
-def test_verdict_states_that_the_friction_of_feet_has_no_effect_on_the_added_ground(
-    tmp_path: Path, friction: str, named: bool
-) -> None:
-    """Reference: MuJoCo's default coefficient of a geom is 1, and the larger coefficient counts."""
-    pair = quadruped(tmp_path)
-    edited_by(pair.mjcf, lambda text: text.replace("<geom ", f'<geom friction="{friction}" '))
-    robot = pa.load_robot(*pair)
-    found = [note for note in list_file_remarks(robot) if note.code == "friction-of-added-ground"]
-    assert bool(found) is named
-    if named:
-        assert found[0].values["friction"] == 1.0
-        assert found[0].values["own"] == float(friction)
-        assert found[0].values["none"] is (friction == "0")
-        assert len(found[0].values["feet"]) == 4  # type: ignore[arg-type]
-    effective = {contact.sliding_friction for contact in robot.contacts.values()}
-    assert effective == {max(1.0, float(friction))}
-
-
-@pytest.mark.parametrize(("floor", "fails"), [(False, True), (True, False)])
-def test_stand_on_a_slope_needs_the_friction_that_the_file_states(
-    tmp_path: Path, floor: bool, fails: bool
-) -> None:
-    """By hand: a slope of 0.25 rad needs 0.26; the feet have 0.2, the ground of a file has 1."""
-    foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" friction="0.2"/>'
-    robot = pa.load_robot(*quadruped(tmp_path, foot=foot, floor=floor))
-    for slope, lacks in ((0.25, fails), (0.15, False)):
-        stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=slope)))
-        found = describe_missing_friction(robot, stand, stand_statics(robot, stand))
-        assert (found is not None) is lacks
-        if found is not None:
-            assert found.values["own"] == 0.2
-            assert found.values["need"] == pytest.approx(math.tan(slope), rel=0.2)
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ NEVER = {
     *("off-as-published", "own-run", "own-run-diverges", "deviation-doubles", "in-balance"),
     *("stand-creeps", "mode-refuted"),
     *("on-servos-made-up", "rests-on-placeholder-efforts", "on-balls-for-soles"),
-    *("gravity-not-the-earths", "weight-is-compensated", "friction-of-added-ground"),
+    *("gravity-not-the-earths", "weight-is-compensated"),
 }
 """Codes of observations, which are no causes."""
 

@@ -137,6 +137,56 @@ def test_contact_pairs_of_objects_in_the_scene_are_left_out(tmp_path: Path) -> N
     assert "stair" not in names[1]
 
 
+def write_frictions(folder: Path, friction: str) -> Pair:
+    """Write a quadruped without floor; ``friction`` is the attribute of the geoms of its feet."""
+    return quadruped(folder, foot=f'<geom friction="{friction}" size="0.02" pos="0 0 -0.2"/>')
+
+
+@pytest.mark.parametrize(
+    ("friction", "expected"),
+    [
+        ("0", (0.0, 0.005, 0.0001)),
+        ("0.6", (0.6, 0.005, 0.0001)),
+        ("1.5", (1.5, 0.005, 0.0001)),
+        ("0.3 0.001 0.00002", (0.3, 0.001, 0.00002)),
+    ],
+)
+def test_an_added_floor_leaves_the_friction_of_the_feet(
+    tmp_path: Path, friction: str, expected: tuple[float, float, float]
+) -> None:
+    """Reference: the attribute, with MuJoCo's defaults 0.005 and 0.0001.
+
+    MuJoCo replaces coefficients of a contact below 1e-5 by 1e-5.
+    """
+    robot = load_pair(write_frictions(tmp_path, friction))
+    data = mujoco.MjData(robot.mj_model)
+    mujoco.mj_resetDataKeyframe(robot.mj_model, data, 0)
+    data.qpos[2] -= 0.01
+    mujoco.mj_forward(robot.mj_model, data)
+    feet = [contact for contact in data.contact if set(contact.geom) & robot.foot_geoms.keys()]
+    assert len(feet) == 4
+    for contact in feet:
+        np.testing.assert_allclose(contact.friction[[0, 2, 3]], np.maximum(expected, 1e-5))
+    for combined in robot.contacts.values():
+        assert combined.sliding_friction == pytest.approx(expected[0])
+
+
+@pytest.mark.parametrize(("slope", "holds"), [(0.18, True), (0.22, False)])
+def test_feet_on_an_added_floor_slip_on_slopes_steeper_than_their_friction(
+    tmp_path: Path, slope: float, holds: bool
+) -> None:
+    """Reference: Coulomb's law, tan(slope) = 0.2 at 0.197 rad."""
+    robot = load_pair(write_frictions(tmp_path, "0.2"))
+    task = pa.StandTask(ground=pa.Ground(slope=slope))
+    stand = pa.solve_stand(robot, task)
+    if holds:
+        used = pa.stance.stand_statics(robot, stand).friction_utilisation
+        assert math.tan(slope) / 0.2 <= max(used.values()) <= 1
+    else:
+        with pytest.raises(pa.StaticsInfeasibleError):
+            pa.stance.stand_statics(robot, stand)
+
+
 @pytest.mark.slow
 def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
