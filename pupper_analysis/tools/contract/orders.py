@@ -582,7 +582,9 @@ def _compute_unlike_fraction(
     }
     signs = {pair: (1, model.mirrored_sign(*pair)) for pair in find_mirror_pairs(order)}
     agreements = [
-        is_mirror_image(values[quantity, first], values[quantity, second], sign[kind.mirrored < 0])
+        is_mirror_image(
+            values[quantity, first], values.get((quantity, second)), sign[kind.mirrored < 0]
+        )
         for quantity, kind in QUANTITIES.items()
         if kind.mirrored and quantity in quantities
         for (first, second), sign in signs.items()

@@ -338,6 +338,7 @@ def list_target_bounds(clip: LocatedValue) -> Iterator[Statement]:
     ``clip`` is {joint pattern: [lower, upper]}, or a list of such pairs in the order of the policy.
     The bounds apply to the action after scale and offset (Isaac Lab, ``JointAction``).
     """
+    pairs: list[tuple[LocatedValue, dict[str, Any]]]
     if isinstance(clip.value, dict):
         pairs = [(pair, {"joint": str(pattern)}) for pattern, pair in clip.table.items()]
     else:

@@ -4,6 +4,7 @@ mistakes are found with both lines.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -1153,3 +1154,15 @@ def test_action_offsets_of_a_deployment_are_compared(tmp_path: Path) -> None:
     both = (first.name, second.name)
     (finding,) = [one for one in contract(first, second).findings if one.sources == both]
     assert (finding.kind, finding.joints) == ("action offset", (JOINTS[0],))
+
+
+@pytest.mark.parametrize("index", [0, 3, 11])
+def test_a_text_in_a_list_without_joint_names_is_reported(tmp_path: Path, index: int) -> None:
+    """The order is assumed from the left-right pairs, of which one number is missing."""
+    numbers: list[object] = [0.1] * 12
+    numbers[index] = "*a" if index == 3 else "x"
+    path = tmp_path / "deploy.json"
+    path.write_text(json.dumps({"default_joint_pos": ANGLES, "kds": numbers}))
+    found = contract(path, write_deployment(tmp_path / "first.yaml", kds=0.1))
+    assert {message.code for message in found.unread} == {"contract-side-missing"}
+    assert not found.passed
