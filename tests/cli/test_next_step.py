@@ -175,21 +175,23 @@ def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: P
 
     A placeholder for the folder cannot be copied.
     """
-    file = tmp_path / "robot.urdf"
+    home = tmp_path / "robots" / "dog"  # the folders of other tests are not searched
+    home.mkdir(parents=True)
+    file = home / "robot.urdf"
     mesh = '<visual><geometry><mesh filename="package://dog/foot.stl"/></geometry></visual></link>'
     text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
     text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
     file.write_text(text.replace("</link>", mesh, 1))
-    lines = answer("audit", "robot.urdf", folder=tmp_path).stdout.splitlines()
+    lines = answer("audit", "robot.urdf", folder=home).stdout.splitlines()
     assert lines[1].endswith("mesh foot.stl missing: --package dog=DIR")
     assert lines[2] == "  next: pupper-analysis audit robot.urdf -v"
-    folder = tmp_path / "stuff" / "a dog"
+    folder = home / "stuff" / "a dog"
     folder.mkdir(parents=True)
     (folder / "foot.stl").write_text("")
-    lines = answer("audit", "robot.urdf", folder=tmp_path).stdout.splitlines()
+    lines = answer("audit", "robot.urdf", folder=home).stdout.splitlines()
     assert lines[2] == "  next: pupper-analysis audit robot.urdf --package 'dog=stuff/a dog'"
     _, *words = shlex.split(lines[2].removeprefix("  next: "))
-    assert "missing" not in answer(*words, folder=tmp_path).stdout
+    assert "missing" not in answer(*words, folder=home).stdout
 
 
 @pytest.mark.parametrize(

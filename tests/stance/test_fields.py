@@ -162,7 +162,7 @@ def test_task_text_has_fixed_order_and_units() -> None:
         "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart, "
         "*elbow* at 0.5236 rad or m"
     )
-    assert task.describe("zh").startswith("高度 120.0 mm，横滚 1.5°，")
+    assert task.describe("zh").startswith("高度 120.0 mm，横滚 1.5 deg，")
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
