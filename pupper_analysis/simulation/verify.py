@@ -976,7 +976,7 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
     Returns:
         List with the message, or an empty list.
     """
-    if not residual > MAX_BALANCE_RESIDUAL_RATIO * weight:
+    if residual <= MAX_BALANCE_RESIDUAL_RATIO * weight:  # false for NaN: forces do not balance
         return []
     urdf, mjcf = robot.describe_masses()
     return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]

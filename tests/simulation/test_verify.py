@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation import growth, verify
 from pupper_analysis.simulation.rollout import full_state, place_on_ground
-from pupper_analysis.simulation.verify import describe_deviations
+from pupper_analysis.simulation.verify import describe_deviations, describe_model_mismatch
 from tests.support.engines import change_model
 from tests.support.legged import edited_by
 from tests.support.slips import standing
@@ -664,3 +664,12 @@ def test_feet_that_leave_the_ground_when_the_robot_is_released_do_not_fail(
     assert set(num_feet[1000:]) == {4}
     assert np.abs(data.qvel).max() < 1e-4
     assert pa.verify_stand(robot, stand, feedforward=False).passed
+
+
+@pytest.mark.parametrize(("residual", "named"), [(0.0, False), (1.0, True), (math.nan, True)])
+def test_forces_that_do_not_balance_or_are_no_number_are_reported(
+    residual: float, named: bool
+) -> None:
+    robot = pa.load_variant("v3")
+    codes = [one.code for one in describe_model_mismatch(robot, residual, robot.usual_weight)]
+    assert codes == ["files-of-two-robots"] * named
