@@ -55,7 +55,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
         limit=limit[0] if limit else None,
         failures=() if pushed.within_region else region,
         word=text("push-beyond") if pushed.verdict.passed and not pushed.passed else None,
-        number_first=bool(unpushed),
+        number_first=bool(unpushed) or pushed.peak_torques is not None,
         details=(
             *(region if pushed.within_region else ()),
             *describe_motor_energy(pushed.energy),

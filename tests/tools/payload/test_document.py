@@ -19,8 +19,13 @@ from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_payl
 
 
 def test_motors_without_a_limit_are_named() -> None:
-    text = " ".join(print_words(payload_document(make_payload_result("hip", "knee"))))
+    document = payload_document(make_payload_result("hip", "knee"))
+    text = " ".join(print_words(document))
     assert text.startswith("UNKNOWN stub")
+    shorts = [
+        line.short for line in document.failures + document.findings if isinstance(line, Text)
+    ]
+    assert "1.23 kg with unlimited motors" in shorts
     sentence = (
         "Motors without a torque limit in the files, which these bounds ignore: 2 (hip, knee)."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -11,14 +12,22 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import Document, Name, NextStep, Table, get_english, text
+from pupper_analysis.present.document import (
+    Document,
+    Name,
+    NextStep,
+    Table,
+    Text,
+    get_english,
+    text,
+)
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.html.plots import BOTTOM_MARGIN, draw_svg
 from pupper_analysis.present.plots import make_joint_title
 from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.robot.as_published import Cause, Published
-from pupper_analysis.simulation.verdict import Question, judge_stance
+from pupper_analysis.simulation.verdict import Question, VerdictCode, judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
 from pupper_analysis.tools.push.figures import push_figure
 from tests.support import printing
@@ -88,6 +97,18 @@ def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
     assert "with unlimited motors 0.43 N s in the weakest direction (240 deg)" in text
     assert "up to 4.32 N m (knee)" in text
     assert "largest push in the weakest" not in text
+    unknown = diagnose(
+        "torque-limits-unknown",
+        count=1,
+        joints=["knee"],
+        torque=Quantity(2.0, "N m"),
+        hardest="knee",
+    )
+    code = VerdictCode.LIMITS_UNKNOWN
+    one.verdict, one.passed = replace(one.verdict, code=code, remarks=(unknown,)), False
+    first = push_document(one).failures[0]
+    assert isinstance(first, Text)
+    assert first.short == "0.43 N s (240 deg) with unlimited motors; the push needs 4.32 N m (knee)"
 
 
 def test_limits_are_drawn_over_the_direction_once_around() -> None:
