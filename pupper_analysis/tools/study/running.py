@@ -352,8 +352,8 @@ WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError", "EngineError", "Worke
 continue."""
 
 EXIT_WAIT_SECONDS = 5.0
-"""Maximum waiting time [s] for the end of a process of a broken pool. After the end, the exit code
-is read. Chosen, not tuned.
+"""Maximum waiting time [s] for the end of a process of a broken pool, whose exit code is then read,
+or of a process without a design to evaluate. Chosen, not tuned.
 """
 
 TIME_LIMIT_EXIT_CODE = 1
@@ -529,15 +529,22 @@ class WorkerPool:
             process.join(EXIT_WAIT_SECONDS)
         return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes)
 
-    def end_processes(self) -> None:
+    def end_processes(self, *, idle: bool = False) -> None:
         """End the worker processes. Workers of an executor of the caller keep running.
 
         A process that the system could not start is skipped.
+
+        Args:
+            idle: True if no design is being evaluated. The processes then end by themselves, within
+                `EXIT_WAIT_SECONDS`: if a process ends while MuJoCo is imported, a child process
+                of GLFW prints a traceback.
         """
         if self._given_executor is None and self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             started = [process for process in self._processes if process.pid is not None]
+            deadline = time.monotonic() + (EXIT_WAIT_SECONDS if idle else 0.0)
             for process in started:
+                process.join(max(0.0, deadline - time.monotonic()))
                 process.terminate()
             for process in started:
                 process.join()
@@ -608,7 +615,7 @@ class StudyRun:
                 for future in self._in_flight:
                     with contextlib.suppress(NotImplementedError):  # futures of Parsl
                         future.cancel()
-                pool.end_processes()
+                pool.end_processes(idle=all(future.done() for future in self._in_flight))
         self.report(self._update_progress())
         return self.progress
 

@@ -295,11 +295,25 @@ def test_killed_worker_loses_no_design(tmp_path: Path, monkeypatch: pytest.Monke
 def test_workers_are_restarted_after_a_number_of_designs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Processes without a design end by themselves: exit code 0, not that of a signal.
+
+    A process that was ended during the import of MuJoCo printed a traceback of GLFW.
+    """
+    codes: list[int | None] = []
+    end_processes = running.WorkerPool.end_processes
+
+    def record_exit_codes(pool: running.WorkerPool, *, idle: bool = False) -> None:
+        processes = list(pool._processes)
+        end_processes(pool, idle=idle)
+        codes[:] = [process.exitcode for process in processes]
+
+    monkeypatch.setattr(running.WorkerPool, "end_processes", record_exit_codes)
     monkeypatch.setattr(running, "DESIGNS_PER_PROCESS", 2)
     monkeypatch.setattr(running, "MAX_CHUNK_DESIGNS", 1)
     table = study(HEAVY, study_metrics.process).run(tmp_path, workers=1)
     assert not table["failure"].notna().any()
     assert 2 <= table["process"].nunique() < 5
+    assert codes == [0]
 
 
 @pytest.mark.slow
