@@ -431,13 +431,17 @@ def measure_difference(one: np.ndarray, two: np.ndarray) -> float:
 
 
 def _on_ground(path: Path) -> mujoco.MjModel:
-    """Return the compiled model of an MJCF, with a plane if it has none."""
+    """Return the compiled model of an MJCF, with a plane if it has none.
+
+    The plane has no friction: MuJoCo uses the larger coefficient, that of the robot's geom.
+    """
     spec = mujoco.MjSpec.from_file(str(path))
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
         plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
         usual = mujoco.MjSpec().default.geom  # a file's defaults are for its robot
-        for word in ("friction", "condim", "solref", "solimp", "margin", "gap", "solmix"):
+        for word in ("condim", "solref", "solimp", "margin", "gap", "solmix"):
             setattr(plane, word, getattr(usual, word))
+        plane.friction = (0, 0, 0)
         plane.contype = plane.conaffinity = 1
         plane.priority = 0
     with warnings.catch_warnings():
