@@ -315,6 +315,7 @@ def _describe_number_lists(
         yield diagnose(
             "contract-lists-not-read",
             file=source.name,
+            place=source.name,
             keys=keys,
             count=source.number_lists[keys[0]],
             named=bool(source.order),
