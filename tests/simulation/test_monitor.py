@@ -70,6 +70,55 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
     assert "tilt 180 deg, height 0.020 m" in str(monitor.describe_fall(math.pi, 0.02))
 
 
+def test_states_after_a_divergence_are_evaluated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo repeats the state of a divergence. Reference: a new sampler for each state."""
+    robot, stand = load(NAME), stand_of(NAME)
+    drive = model_with_servos(robot)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    start = state_at(robot, drive.model, stand.qpos, np.full(robot.nv, 1e300))
+    states = simulate_commands(drive.model, start, np.tile(ctrl, (20, 1)))
+    assert monitor.has_diverged(states, float(drive.model.opt.timestep))
+    assert len({state.tobytes() for state in states[-10:]}) == 1
+    expected = monitor.ContactSampler(robot, drive.model).sample(states[-1], ctrl)
+    evaluated: list[float] = []
+    forward = mujoco.mj_forward
+
+    def count(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        evaluated.append(data.time)
+        forward(model, data)
+
+    monkeypatch.setattr(mujoco, "mj_forward", count)
+    sampler = monitor.ContactSampler(robot, drive.model)
+    samples = [sampler.sample(state, ctrl) for state in states[-10:]]
+    assert len(evaluated) == 1
+    for sample in samples:
+        assert sample.bodies == expected.bodies
+        assert sample.forces.keys() == expected.forces.keys()
+        for foot, force in expected.forces.items():
+            np.testing.assert_array_equal(sample.forces[foot], force)
+
+
+def test_sampler_evaluates_a_state_again_if_command_or_data_have_changed() -> None:
+    """Reference: a new sampler. The torques follow the command, kp (ctrl - q)."""
+    robot, stand = load(NAME), stand_of(NAME)
+    drive = model_with_servos(robot)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    state = state_at(robot, drive.model, stand.qpos)
+    sampler = monitor.ContactSampler(robot, drive.model)
+    dofs = robot.mj_convention.qvel_index[-robot.nu :]
+    for command in (ctrl, ctrl + 0.01):
+        sampler.sample(state, command)
+        fresh = monitor.ContactSampler(robot, drive.model)
+        fresh.sample(state, command)
+        torques = sampler.data.qfrc_actuator[dofs]
+        np.testing.assert_allclose(torques, fresh.data.qfrc_actuator[dofs])
+    above = stand.qpos.copy()
+    above[2] += 0.5
+    sampler.find_ground_bodies(state_at(robot, drive.model, above))
+    sampler.sample(state, ctrl + 0.01)
+    assert sampler.data.qpos[2] == pytest.approx(state[3])
+
+
 @pytest.mark.parametrize(
     ("leaning", "lost", "fallen"),
     [(0.0, 0.0, False), (0.49, 0.0, False), (0.51, 0.0, True), (0.0, 0.51, True), (0, 0.4, False)],
