@@ -66,8 +66,6 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
         low=low,
         enough=least is not None and not low,
         exceeded=over,
-        implicit_over=over and implicit,
-        over=over and not implicit,
         within=bounded and not over,
         step=format_number(1e3 * servos.timestep, ".3g"),
         rate=f"{1 / servos.timestep:.4g}",

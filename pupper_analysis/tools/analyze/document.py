@@ -192,6 +192,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         "mass-kg-peak-torque-torque",
         mass=doc.format_widened(analysis.total_mass, ".3f"),
         ground=ground_word(analysis.stand.depths.values()),
+        simulated=analysis.verified,
         **format_peak_load(analysis.statics),
     )
     yield text(

@@ -54,6 +54,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         findings=(
             join_words([describe_counts(audit.counts), rules]),
             *_describe_worst_finding(audit),
+            *_describe_fix(audit),
         ),
         next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
@@ -75,6 +76,13 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
         alike = [one for one in others if (one.rule, one.message) == (first.rule, first.message)]
         finding = summarise_finding(first.rule, first.diagnostic, len(alike))
         yield text("audit-first", finding=finding)
+
+
+def _describe_fix(audit: Audit) -> Iterable[doc.Words]:
+    """Yield the text that `audit --fix` proposes a patch, if this is the next command."""
+    step = _select_next_step(audit)
+    if step is not None and "--fix" in step.words:
+        yield text("fix-proposes", count=len(list_unique_repairs([audit])))
 
 
 MAX_SUMMARY_WIDTH = 92

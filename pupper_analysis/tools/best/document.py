@@ -122,8 +122,8 @@ def _make_search_line(study: BestStudy) -> doc.Text:
 def _shorten_coordinates(best: BestStance) -> str:
     """Return the coordinates of the best stance in short: mm and degrees.
 
-    For example, ``found: height 180.6 mm, feet moved ≤18 mm, x +13 mm, pitch +1 deg``. Coordinates
-    that round to zero are omitted.
+    For example, ``found: base height 180.6 mm, x +13 mm, pitch +1 deg; feet moved ≤18 mm``.
+    Coordinates that round to zero are omitted.
     """
     feet: dict[str, list[float]] = {}
     for name, value in best.coordinates.items():
@@ -131,8 +131,8 @@ def _shorten_coordinates(best: BestStance) -> str:
         if foot:
             feet.setdefault(foot, []).append(value)
     largest = 1e3 * max((math.hypot(*moved) for moved in feet.values()), default=0.0)
-    parts = [f"height {1e3 * best.stand.task.height:.1f} mm"] if best.stand.task.height else []
-    parts += [f"feet moved ≤{largest:.0f} mm"] if round(largest) else []
+    height = best.stand.task.height
+    parts = [f"base height {1e3 * height:.1f} mm"] if height else []
     for names, scale, unit in (
         (("x", "y"), 1e3, "mm"),
         (ANGLE_COORDINATES, math.degrees(1.0), "deg"),
@@ -140,7 +140,8 @@ def _shorten_coordinates(best: BestStance) -> str:
         shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
         moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
         parts += [f"{', '.join(moved)} {unit}"] if moved else []
-    return f"found: {', '.join(parts)}"
+    feet_moved = (f"feet moved ≤{largest:.0f} mm",) if round(largest) else ()
+    return f"found: {'; '.join(filter(None, (', '.join(parts), *feet_moved)))}"
 
 
 def _make_coordinate_table(best: BestStance) -> doc.Table:

@@ -138,13 +138,13 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
 
 
 def _format_added_gains(conversion: Conversion) -> dict[str, str]:
-    """Return kp and kd of the added servos, each with its unit and as a number; empty without.
+    """Return kp and kd of the added servos: with unit, as a number, and the unit; empty without.
 
-    For example {"kp": "320 N m/rad", "kp_number": "320"}.
+    For example {"kp": "320 N m/rad", "kp_number": "320", "kp_unit": "N m/rad"}.
     """
     codes = ("servos-added", "servos-made")
     added = next((note for note in conversion.notes if note.code in codes), None)
-    gains: dict[str, str] = {"kp": "", "kd": "", "kp_number": "", "kd_number": ""}
+    gains = {f"{gain}{part}": "" for gain in ("kp", "kd") for part in ("", "_number", "_unit")}
     for gain in ("kp", "kd") if added is not None else ():
         span = added.values[gain]  # type: ignore[union-attr]
         if isinstance(span, Diagnostic):
@@ -152,7 +152,8 @@ def _format_added_gains(conversion: Conversion) -> dict[str, str]:
             wide = (
                 f"..{high.value:.4g}" if span.values["wide"] and isinstance(high, Quantity) else ""
             )
-            gains |= {gain: str(span), f"{gain}_number": f"{low:.4g}{wide}"}
+            unit = str(high.unit) if isinstance(high, Quantity) else ""
+            gains |= {gain: str(span), f"{gain}_number": f"{low:.4g}{wide}", f"{gain}_unit": unit}
     return gains
 
 

@@ -82,6 +82,9 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         name = doc.Name(link)
     if not (is_finite_number(old) and is_finite_number(new)):
         return named
+    # A single further change is named.
+    second = diff.changes[1] if count == 2 else None
+    is_other = second is not None and second.element != first.element
     old_text, new_text = format_pair(old, new, ".4g")
     edited = text(
         "change-of-value",
@@ -90,7 +93,10 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         old=old_text,
         new=f"{new_text} {first.unit}".rstrip(),
         change=_format_percent(old, new),
-        more=count - 1 or None,
+        second=None if second is None or is_other else word(second.kind),
+        other=word(second.kind) if second is not None and is_other else None,
+        element=doc.Name(second.element) if second is not None else None,
+        more=count - 1 if count > 2 else None,
     )
     return replace(named, short=edited.en)
 

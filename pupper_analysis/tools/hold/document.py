@@ -176,15 +176,17 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
         tool, example = doc.Name(hold.tool.name), ", ".join(efforts[1::2])
         return text("worst-payload-unknown", tool=tool, example=example)
     servos = hold.verdict.servos
-    added = "..".join(dict.fromkeys(f"{kp:.3g}" for kp in servos.kp)) if servos.made else ""
+    added = hold.hangs and bool(servos.made)
     return text(
         "worst-posture-payload",
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
-        # With the added servos, the line has no more room: a table names the joint.
-        joint=doc.Name(joint) if joint and not (hold.hangs and added) else "",
+        joint=doc.Name(joint) if joint else "",
+        motor=bool(joint) and not added,
+        # With two masses and added servos, the line has no room for the word "motor".
+        beside=bool(joint) and added,
         hangs=hold.hangs,
-        kp=added if hold.hangs else "",
+        added=added,
         alone="" if math.isnan(alone) else _format_payload_limit(alone),
         refuted=_is_payload_refuted(hold),
         fails=_is_payload_refuted(hold) and math.isnan(alone),

@@ -94,19 +94,20 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
     return replace(step, words=(*step.words, "--payload", f"{payload:.6g}kg"))
 
 
-def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
+def _select_verdict_word(limit: PayloadLimit) -> doc.Text:
     """Return the verdict word: UNKNOWN, FAILS, or CARRIES with the kind of torque limits."""
     if math.isnan(limit.mass) or not limit.passed:
         key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
         return qualify_verdict_word(key, limit.verdict.converted)
     file, torque_limits = name_only_format(limit.verdict.converted), _describe_torque_limits(limit)
     kind = "peak" if torque_limits["peak"] else "continuous"
+    alone = _describe_mass_by_commands_alone(limit)
     return text(
         "carries-with-limits",
         file=file,
         compensated=_carries_only_with_feedforward(limit),
-        # The short form has no more room, since the line also names the file or the place.
-        shown="" if file or torque_limits["part"] or np.any(limit.point) else kind,
+        # The short form has no room beside a file, a place or a second mass.
+        shown="" if file or torque_limits["part"] or np.any(limit.point) or alone else kind,
         **torque_limits,
     )
 
@@ -137,9 +138,25 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
     """Return the text of the largest payload [kg], or its upper bound, and its position [mm]."""
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)
+    line = _format_payload(limit)
+    head = _select_verdict_word(limit)
+    if len(f"{head.short or head.en} {limit.name}: {line.short}") > _MAX_LINE_WIDTH:
+        return _format_payload(limit, brief=True)
+    return line
+
+
+_MAX_LINE_WIDTH = 100
+"""Width of the first line [characters] above which it abbreviates "without gravity compensation".
+Equal to `present.terminal.MAX_ANSWER_WIDTH`, the width of an answer."""
+
+
+def _format_payload(limit: PayloadLimit, *, brief: bool = False) -> doc.Text:
+    """Return the text of `payload_text` for known torque limits."""
     alone = _describe_mass_by_commands_alone(limit)
     return text(
         "payload-at-place",
+        full=bool(alone) and not brief,
+        brief=bool(alone) and brief,
         place=_format_point(limit),
         link=limit.link,
         mass=mass_text(limit.upper_bound),
@@ -167,14 +184,20 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
     name, following = _find_following_bound(limit)
     is_same = _fails_alone_alike(limit)
     yield _describe_limiting_failure(limit, alone_alike=is_same)
+    motors = () if "motors" in limit.binding else tuple(_describe_motor_utilisation(limit))
     if following is not None:
         cause, bound = word(following.failure.value), text(_BOUND_KEYS[name])
         next_mass = mass_text(following.mass)
-        yield text("payload-next-bound", next=next_mass, cause=cause, bound=bound)
+        bound_text = text("payload-next-bound", next=next_mass, cause=cause, bound=bound)
+        if name == "motors":  # in short the utilisation, as if no mass saturates a motor
+            for line in motors:
+                bound_text = replace(bound_text, short=line.short, short_zh=line.short_zh)
+        yield bound_text
     if limit.failures_alone and not is_same:
-        yield text("payload-alone-limited", failure=_describe_failure_alone(limit))
-    if "motors" not in (limit.binding, name):
-        yield from _describe_motor_utilisation(limit)
+        mass = mass_text(limit.mass_by_commands_alone)
+        yield text("payload-alone-limited", mass=mass, failure=_describe_failure_alone(limit))
+    if name != "motors":
+        yield from motors
 
 
 def _fails_alone_alike(limit: PayloadLimit) -> bool:
@@ -200,7 +223,7 @@ def _describe_failure_alone(limit: PayloadLimit) -> doc.Text:
     return doc.diagnostic_text(failure)
 
 
-def _describe_motor_utilisation(limit: PayloadLimit) -> Iterator[doc.Words]:
+def _describe_motor_utilisation(limit: PayloadLimit) -> Iterator[doc.Text]:
     """Yield the torque and the limit of the motor that is loaded most at the largest payload."""
     shares = limit.motor_utilisation
     if not np.isfinite(shares).any():
@@ -211,6 +234,7 @@ def _describe_motor_utilisation(limit: PayloadLimit) -> Iterator[doc.Words]:
         yield text(
             "payload-of-motors",
             torque=format_number(torque, ".3g"),
+            share=format_number(100 * float(shares[hardest]), ".2g"),
             limit=format_number(torque / float(shares[hardest]), ".3g"),
             unit=limit.torque_units[hardest],
             joint=doc.Name(limit.joint_names[hardest]),

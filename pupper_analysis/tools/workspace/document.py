@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -64,30 +65,51 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with the directions, for the short answer, most directions first.
 
-    For example, ``joints (all but x)``: the shorter of the list of directions and of the list of
-    the other directions. Names of joints and links are omitted. If the result is wider than
-    `_MAX_LIMITS_WIDTH`, the first limit follows as ``else joints``; if this is too wide as
-    well, all directions are omitted.
+    For example, ``joints (all but x), joints and ground (pitch)``: each direction is listed once,
+    with the limits at its ends. The directions are the shorter of their list and of the list of the
+    other directions. Names of joints and links are omitted. If the result is wider than
+    `_MAX_LIMITS_WIDTH`, the first limit follows as ``else joints``. If this is too wide as well,
+    each limit lists its directions, then all directions are omitted.
     """
+    exact: dict[str, list[str]] = {}
+    for direction, ends in workspace.limits.items():
+        kinds = sorted({doc.diagnostic_text(limit).short for limit in ends})
+        exact.setdefault(join_words(map(doc.Name, kinds), "and").en, []).append(direction)
     limited: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
         for limit in ends:
             directions = limited.setdefault(doc.diagnostic_text(limit).short, [])
             if direction not in directions:
                 directions.append(direction)
+    forms = [
+        form for groups in (exact, limited) for form in _format_limit_groups(workspace, groups)
+    ]
+    where = text("limits-by-direction", limits=", ".join(_sort_by_length(limited))).en
+    # The complete list of `limited`, `forms[2]`, would contain a direction twice.
+    usable = (*forms[:2], forms[3], where)
+    return next((form for form in usable if len(form) <= _MAX_LIMITS_WIDTH), where)
+
+
+def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the keys of a mapping, longest value first."""
+    return sorted(groups, key=lambda name: -len(groups[name]))
+
+
+def _format_limit_groups(
+    workspace: BaseWorkspace, groups: Mapping[str, Sequence[str]]
+) -> tuple[str, str]:
+    """Format {limit: directions}, completely, and with ``else`` for the first limit."""
     parts = list[str]()
-    names = sorted(limited, key=lambda name: -len(limited[name]))
+    names = _sort_by_length(groups)
     for limit_name in names:
-        directions = limited[limit_name]
+        directions = groups[limit_name]
         others = [direction for direction in workspace.limits if direction not in directions]
         listed = join_words(map(text, directions)).en
         other = join_words(map(text, others)).en
         remaining = text("limit-everywhere", other=other).en
         parts.append(f"{limit_name} ({min(remaining, listed, key=len)})")
     mostly = [*parts[1:], text("limit-otherwise", limit=names[0]).en] if len(names) > 1 else parts
-    where = text("limits-by-direction", limits=", ".join(names)).en
-    forms = (", ".join(parts), ", ".join(mostly), where)
-    return next((form for form in forms if len(form) <= _MAX_LIMITS_WIDTH), where)
+    return ", ".join(parts), ", ".join(mostly)
 
 
 _MAX_LIMITS_WIDTH = 58

@@ -350,7 +350,7 @@ def test_asymmetric_model_without_shared_numbers_is_not_a_disagreement(tmp_path:
     assert get_english(shown.verdict) == "NOT COMPARED"
     assert get_english(shown.title) == "two.xml and config.yaml"
     first, second, *_ = [getattr(part, "short", "") or part.en for part in shown.findings]
-    assert first == "no number in both; 1 mirror warning"
+    assert first == "no number in both; 1 left-right warning"
     assert second == "only the .yaml states kp, kd"
     alone = contract_document(read_contract(model, stand=False))
     assert get_english(alone.verdict) == "ASYMMETRIC"
@@ -432,7 +432,8 @@ def test_list_with_a_number_per_joint_under_an_unknown_key_is_reported(
         ".yaml": 'joint_names: ["leg_front_r_1", ...]',
         ".json": '"joint_names": ["leg_front_r_1", ...]',
     }[path.suffix]
-    assert f"add {line} to the {path.suffix}, then its keys to pupper-analysis.toml" in shown
+    added = f"no joint names: add {line} to the {path.suffix}"
+    assert f"{added}, then map the keys (-v shows how)" in shown
 
 
 def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(

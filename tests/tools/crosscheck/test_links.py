@@ -268,7 +268,7 @@ def test_second_line_names_another_cause(tmp_path: Path) -> None:
     assert effects[0] > effects[1]
     findings = make_document(comparison).findings
     assert getattr(findings[0], "short", "") == shorts[first.kind]
-    assert getattr(findings[1], "short", "").endswith(f"; also {shorts[second.kind]}")
+    assert getattr(findings[1], "short", "").endswith(f"; {shorts[second.kind]}")
 
 
 def test_effect_that_other_differences_cancel_has_a_remark_instead_of_a_share(

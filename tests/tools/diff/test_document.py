@@ -161,7 +161,14 @@ def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
     assert get_english(line) == "1 change: mass of bob"
     assert isinstance(line, Text)
     old = pendulum()["bob"].mass
-    assert line.short == f"bob mass {old:.4g} -> 3 kg ({100 * (3 / old - 1):+.3g} %)"
+    edited = f"bob mass {old:.4g} -> 3 kg ({100 * (3 / old - 1):+.3g} %)"
+    assert line.short == edited
+    # A single further change is named: by its kind if it is of the same link.
+    for element, ending in (("bob", "also inertia"), ("arm", "also arm inertia")):
+        further = replace(diff.changes[0], kind="inertia", element=element)
+        line = diff_document(replace(diff, changes=(*diff.changes, further))).findings[0]
+        assert isinstance(line, Text)
+        assert line.short == f"{edited}; {ending}"
 
 
 def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> None:

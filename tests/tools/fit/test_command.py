@@ -365,7 +365,7 @@ def test_fixed_base_proposes_to_fit_a_log_in_place_of_stands(
     path.write_text(arm.URDF)
     status, _, err = run_command(capfd, "fit", str(path), *typed.split())
     assert status == 2
-    assert f"fixed base, no {typed.split()[0]}; --log needs time, command.JOINT" in err
+    assert f"fixed base, no {typed.split()[0]}; record motion.csv: time, command.JOINT" in err
     assert err.splitlines()[-1] == f"  next: pupper-analysis fit {path} --log motion.csv"
 
 

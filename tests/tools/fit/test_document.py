@@ -139,10 +139,8 @@ def test_plan_counts_the_determined_parameters_by_kind() -> None:
     known = describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.DATA)
     plan = replace(stand_plan(), expected=(known, known, *stand_plan().expected))
     line = getattr(make_document(plan).findings[0], "short", "")
-    assert line.startswith(
-        "2 stands (4 angles) narrow 2 of 3 parameters to 1/3 of the prior, 2 of "
-    )
-    assert line.endswith(f", 2 of them {known.kind}")
+    assert line.startswith("2 stands, 4 angles; uncertainty of 2 of 3 parameters (2 of them ")
+    assert line.endswith(f"(2 of them {known.kind}) falls to ≤1/3")
 
 
 def write_document(name: str) -> str:
@@ -181,7 +179,7 @@ def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
     angle = Quantity(math.radians(0.1516), "rad")
     friction = diagnose("friction-of-joints", joint="leg_front_l_3", angle=angle)
     recorded = diagnostic_text(friction)
-    for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.1516 deg")):
+    for line, kept in ((planned, "0.4755 kg on base_link"), (recorded, "0.152 deg")):
         assert kept in line.short
         assert len(line.short) < MAX_ANSWER_WIDTH < len(line.en)
 
@@ -222,7 +220,9 @@ def test_an_unweighed_fit_states_mass_and_kp_first_and_proposes_to_weigh() -> No
     first, second, *_ = make_document(fit).findings
     assert isinstance(first, Text)
     assert isinstance(second, Text)
-    assert first.short == "mass 3.50 ± 0.20 kg (95 %; file 3.00), kp 0.900 ± 0.020 times the file's"
+    assert first.short == (
+        "mass 3.50 ± 0.20 kg (95 %; file 3.00), mean kp 0.900 ± 0.020 times the file's"
+    )
     assert second.short.startswith("these stands do not determine the mass: weigh the robot")
     step = _select_next_step(fit, None)
     assert step is not None

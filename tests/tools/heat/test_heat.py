@@ -302,7 +302,7 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     arm_path.write_text(arm.URDF.replace(*_BASE))
     fixed = answer("heat", str(arm_path))
     assert fixed.returncode == 2
-    assert "has a fixed base and cannot stand; add --contact base=weld" in fixed.stderr
+    assert "has a fixed base: heat needs --contact base=weld, motors by joint" in fixed.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))

@@ -78,17 +78,17 @@ def test_next_command_of_a_failure_with_a_typed_payload_leaves_the_payload_out(
 
 
 def test_short_answer_states_the_mass_without_the_limit() -> None:
-    """The next cause was cut. Reference: the bound of the motors, rounded down."""
+    """The next cause was cut. Reference: the knee exerts 2 N m at half of its limit."""
     findings = payload_document(make_payload_result()).findings
     short = [words.short for words in findings if isinstance(words, Text)]
-    assert "motors: 4.56 kg" in short
+    assert "motors at 50 % (knee)" in short
     assert all(";" not in words for words in short if words.startswith("limit: "))
 
 
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
     values = {"mass": "66.89 kg", "place": "0, 0, 0", "link": "base", "ground": ""}
-    line = text("payload-at-place", alone="39.54 kg", **values).short
+    line = text("payload-at-place", alone="39.54 kg", brief="1", **values).short
     assert line
     result = make_payload_result()
     result.verdict = replace(result.verdict, converted="mjcf")
@@ -130,7 +130,7 @@ def test_answers_state_the_mass_with_and_without_gravity_compensation() -> None:
         if isinstance(words, Text) and words.en.startswith("largest payload ")
     ]
     assert mass.en.startswith("largest payload 1.23 kg with gravity compensation, 0.50 kg without")
-    assert ", 0.50 kg uncompensated" in mass.short
+    assert ", 0.50 kg without gravity compensation" in mass.short
     assert "only with gravity compensation" not in " ".join(print_words(answer))
     (limit,) = [
         words
@@ -156,10 +156,10 @@ def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
     result.point = np.zeros(3)
     result.failures_alone = (diagnose("body-touches-ground", subject=("body", "RL_calf")),)
     second = printed(payload_document(result), everything=False).splitlines()[1]
-    limits = "  limits: RL_calf touches the ground; motors 2/4 N m (knee)"
+    limits = "  limit of both: RL_calf touches the ground; motors at 50 % (knee)"
     assert second == f"{limits}; added kp 320 N m/rad"
     assert len(second) <= MAX_ANSWER_WIDTH
     result.failures_alone = (diagnose("height-drifts", drift=Quantity(-1e-3, "m/s")),)
     second = printed(payload_document(result), everything=False).splitlines()[1]
     limits = "  limit 66.89 kg: RL_calf touches the ground"
-    assert second == f"{limits}; uncompensated: the height drifts by -1.00 mm/s"
+    assert second == f"{limits}; limit 39.54 kg: the height drifts by -1.00 mm/s"

@@ -42,7 +42,7 @@ def hold_stance(largest_kd_factor: float) -> object:
 @pytest.mark.parametrize(
     ("factor", "command", "damping"),
     [
-        (0.56, "gains", "kd 16 N m s/rad (above max 9 of a 500 Hz PD)"),
+        (0.56, "gains", "kd 16 N m s/rad (unstable on a 500 Hz PD: max 9)"),
         (1.5, "payload", "kd 16 N m s/rad (max 24)"),
     ],
 )
@@ -71,7 +71,12 @@ def test_a_bound_of_zero_damping_is_exceeded(factor: float | None, exceeds: bool
     [
         (0.5, 1.5, "implicitfast", "kp 320 N m/rad (min 160), kd 16 N m s/rad (max 24)"),
         (2.0, 1.5, "implicitfast", "kp 320 N m/rad (below min 640), kd 16 N m s/rad (max 24)"),
-        (0.5, 0.5, "Euler", "kp 320 N m/rad (min 160), kd 16 N m s/rad (above max 8)"),
+        (
+            0.5,
+            0.5,
+            "Euler",
+            "kp 320 N m/rad (min 160), kd 16 N m s/rad (unstable on a 270.3 Hz PD: max 8)",
+        ),
     ],
 )
 def test_gain_beyond_its_bound_is_stated_as_such(

@@ -68,7 +68,8 @@ def test_short_answer_has_one_unit_for_lengths_and_one_for_angles() -> None:
     head = io.StringIO()
     print_head(SafeConsole(file=head, width=200), workspace_document(result))
     answer, limits = head.getvalue().splitlines()[:2]
-    assert limits == ("  torques, collisions not tested; limits: joints (all), reach (all but yaw)")
+    by_direction = "joints and reach (all but yaw), joints (yaw)"
+    assert limits == f"  torques, collisions not tested; limits: {by_direction}"
     assert answer.startswith("RANGE stub: height 92..192, x ")
     assert " mm; roll " in answer
     assert answer.count(" mm") == answer.count(" deg") == 1

@@ -79,7 +79,7 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
             message = diagnose(
                 "mesh-missing",
                 meshes=names,
-                first=names[0].rpartition("/")[2],
+                first="/".join(names[0].split("/")[-2:]),
                 more=len(names) - 1 or None,
                 package=package or None,
                 folder=_find_package_folder(robot.file.path, names[0]) if package else None,
