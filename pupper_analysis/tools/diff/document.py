@@ -73,8 +73,7 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
     if not diff.changes or not _format_percent(*diff.mass):
         return changes
     first = diff.changes[0]  # line 2 contains the masses, not a change
-    subject = first.diagnostic.subject
-    name = doc.Name(first.element if subject is None else subject.name)
+    name = _name_element(first)
     named = text("changes-first", changes=changes, one=count == 1, kind=word(first.kind), name=name)
     old, new = first.old, first.new
     if first.kind == "mass" and len(diff.edited_masses) == 1:  # the link may be fixed to another
@@ -84,7 +83,7 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         return named
     # A single further change is named.
     second = diff.changes[1] if count == 2 else None
-    is_other = second is not None and second.element != first.element
+    is_other = second is not None and _name_element(second) != _name_element(first)
     old_text, new_text = format_pair(old, new, ".4g")
     edited = text(
         "change-of-value",
@@ -95,10 +94,16 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         change=_format_percent(old, new),
         second=None if second is None or is_other else word(second.kind),
         other=word(second.kind) if second is not None and is_other else None,
-        element=doc.Name(second.element) if second is not None else None,
+        element=None if second is None else _name_element(second),
         more=count - 1 if count > 2 else None,
     )
     return replace(named, short=edited.en)
+
+
+def _name_element(change: ModelChange) -> doc.Name:
+    """Return the name of the changed element, as its message names the element."""
+    subject = change.diagnostic.subject
+    return doc.Name(change.element if subject is None else subject.name)
 
 
 def _select_next_command(diff: ModelDiff) -> str:

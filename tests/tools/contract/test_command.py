@@ -186,7 +186,7 @@ def test_lists_without_joint_names_are_the_reason_for_no_comparison(tmp_path: Pa
     lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()
     assert lines[0] == "NOT COMPARED pupper_v3.urdf and identified.py: 1 list not read"
     line, entry = 'joint_names = ["leg_front_r_1", ...]', 'names = ["viscous_friction"]'
-    assert lines[1] == f"  no joint names: add {line} to the .py, then map the keys (-v shows how)"
+    assert lines[1] == f"  no joint names: add {line} to the .py, then map the keys (-v)"
     assert lines[2] == f"  next: pupper-analysis contract {URDF} {lists} --no-stand -v"
     lists.write_text(f"joint_names = {list(JOINTS)}\n{lists.read_text()}")
     lines = run(tmp_path, URDF, lists, "--no-stand").stdout.splitlines()

@@ -433,7 +433,7 @@ def test_list_with_a_number_per_joint_under_an_unknown_key_is_reported(
         ".json": '"joint_names": ["leg_front_r_1", ...]',
     }[path.suffix]
     added = f"no joint names: add {line} to the {path.suffix}"
-    assert f"{added}, then map the keys (-v shows how)" in shown
+    assert f"{added}, then map the keys (-v)" in shown
 
 
 def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(

@@ -165,7 +165,10 @@ def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
     assert line.short == edited
     # A single further change is named: by its kind if it is of the same link.
     for element, ending in (("bob", "also inertia"), ("arm", "also arm inertia")):
-        further = replace(diff.changes[0], kind="inertia", element=element)
+        message = diff.changes[0].diagnostic
+        assert message.subject is not None
+        message = replace(message, subject=replace(message.subject, name=element))
+        further = replace(diff.changes[0], kind="inertia", diagnostic=message)
         line = diff_document(replace(diff, changes=(*diff.changes, further))).findings[0]
         assert isinstance(line, Text)
         assert line.short == f"{edited}; {ending}"
