@@ -169,7 +169,9 @@ def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
         assert message.subject is not None
         message = replace(message, subject=replace(message.subject, name=element))
         further = replace(diff.changes[0], kind="inertia", diagnostic=message)
-        line = diff_document(replace(diff, changes=(*diff.changes, further))).findings[0]
+        line = diff_document(
+            replace(diff, changes=(*diff.changes, further), edited_masses={})
+        ).findings[0]
         assert isinstance(line, Text)
         assert line.short == f"{edited}; {ending}"
 
