@@ -57,4 +57,4 @@ def test_gains_name_placeholder_inertias_beside_the_bound_of_kd(tmp_path: Path) 
     rewrite_file(mjcf, (INERTIA, 'diaginertia="8e-4 8e-4 5e-5"'))
     printed = answer("gains", str(mjcf), folder=tmp_path).stdout
     assert "(at most 5.8" in printed
-    assert "placeholder" not in printed
+    assert "placeholder inertias" not in printed
