@@ -183,7 +183,7 @@ def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: P
     text = re.sub(r"<(visual).*?</visual>", "", text, flags=re.DOTALL)
     file.write_text(text.replace("</link>", mesh, 1))
     lines = answer("audit", "robot.urdf", folder=home).stdout.splitlines()
-    assert lines[1].endswith("mesh foot.stl missing: --package dog=DIR")
+    assert lines[1].endswith("file dog/foot.stl missing; --package dog=DIR")
     assert lines[2] == "  next: pupper-analysis audit robot.urdf -v"
     folder = home / "stuff" / "a dog"
     folder.mkdir(parents=True)

@@ -29,7 +29,8 @@ NEVER = {
     *("collapses-as-published", "lifted-as-published"),
     *("off-as-published", "own-run", "own-run-diverges", "deviation-doubles", "in-balance"),
     *("stand-creeps", "mode-refuted"),
-    *("on-servos-made-up", "rests-on-placeholder-efforts", "on-balls-for-soles"),
+    *("on-servos-made-up", "on-balls-for-soles"),
+    *("rests-on-placeholder-efforts", "rests-on-placeholder-inertias"),
     *("gravity-not-the-earths", "weight-is-compensated"),
 }
 """Codes of observations, which are no causes."""

@@ -182,9 +182,6 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
         joint=doc.Name(joint) if joint else "",
-        motor=bool(joint) and not added,
-        # With two masses and added servos, the line has no room for the word "motor".
-        beside=bool(joint) and added,
         hangs=hold.hangs,
         added=added,
         alone="" if math.isnan(alone) else _format_payload_limit(alone),

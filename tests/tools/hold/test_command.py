@@ -38,7 +38,7 @@ def test_written_results_equal_the_python_results(
     found = json.loads(out[0].read_text())
     del found["generator"], found["provenance"]
     assert found == json.loads(held.to_json()) | {"name": "arm.urdf+arm.xml"}  # as typed
-    assert f"{round_down(held.payload.mass, 3):.3g} kg more at tip" in output
+    assert f"{round_down(held.payload.mass, 3):.3g} kg more in this posture" in output
     assert imread(out[1]).std() > 0.01
 
 

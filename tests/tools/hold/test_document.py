@@ -172,8 +172,8 @@ def test_next_step_after_a_loaded_posture_does_not_propose_the_same_payload_agai
 @pytest.mark.parametrize(
     ("alone", "ending"),
     [
-        (np.nan, " in the worst posture (limit: motor {joint})"),
-        (0.5, " (limit: motor {joint}), 0.5 kg without gravity compensation"),
+        (np.nan, " in the worst posture (limit: {joint})"),
+        (0.5, " (limit: {joint}), 0.5 kg without gravity compensation"),
     ],
 )
 def test_second_line_names_the_joint_of_the_payload_and_the_mass_without_compensation(

@@ -88,7 +88,7 @@ def test_short_answer_states_the_mass_without_the_limit() -> None:
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     """Go2 from its URDF: the line had up to 117 characters."""
     values = {"mass": "66.89 kg", "place": "0, 0, 0", "link": "base", "ground": ""}
-    line = text("payload-at-place", alone="39.54 kg", brief="1", **values).short
+    line = text("payload-at-place", alone="39.54 kg", how="uncompensated", **values).short
     assert line
     result = make_payload_result()
     result.verdict = replace(result.verdict, converted="mjcf")
