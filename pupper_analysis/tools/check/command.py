@@ -171,10 +171,8 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     count = len(pairs) + len(singles)
     shared.print_text(text("config-written", path=str(path), count=count, pairs=len(pairs)))
     groups: dict[str, Sequence[str]] = {"models-paired": pairs}
-    for lacking in ("mjcf", "urdf"):
-        groups[f"models-without-{lacking}"] = [
-            name for name, missing in singles.items() if missing == lacking
-        ]
+    for lacking, key in (("mjcf", "models-without-mjcf"), ("urdf", "models-without-urdf")):
+        groups[key] = [name for name, missing in singles.items() if missing == lacking]
     groups = {key: names for key, names in groups.items() if names}
     width = (MAX_ANSWER_WIDTH - 2) // max(len(groups), 1) - 2
     listed = [_shorten_list(key, names, width) for key, names in groups.items()]

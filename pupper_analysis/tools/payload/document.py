@@ -155,7 +155,7 @@ def _format_payload(limit: PayloadLimit, *, brief: bool = False) -> doc.Text:
     alone = _describe_mass_by_commands_alone(limit)
     return text(
         "payload-at-place",
-        how=text("payload-uncompensated" if brief else "payload-without-compensation"),
+        how=text("payload-uncompensated") if brief else text("payload-without-compensation"),
         place=_format_point(limit),
         link=limit.link,
         mass=mass_text(limit.upper_bound),

@@ -65,7 +65,7 @@ def sync_document(
                 "unwritten-differences",
                 name=left[0].difference,
                 distance=None,
-                others=len(left) - 1,
+                count=None,
             )
             messages.append(text("differences-left-count", count=len(left), kept=kept))
         if dry_run:
