@@ -670,7 +670,8 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
     tree = etree.fromstring(OWN["urdf"].read_bytes())
     for name, geometry in zip(names, tree.iterfind(".//collision/geometry"), strict=False):
         geometry[:] = [etree.Element("mesh", filename=name)]
-    path = tmp_path / "dog.urdf"
+    path = tmp_path / "robots" / "dog" / "dog.urdf"  # the folders of other tests are not searched
+    path.parent.mkdir(parents=True)
     path.write_bytes(etree.tostring(tree))
     of_folder, of_package = find_findings(audit_model(path), "mesh-missing")
     assert (of_folder.severity, of_package.severity) == (Severity.ERROR, Severity.WARNING)
