@@ -35,6 +35,12 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.diagnostics.diagnostic import Severity
 
+MAX_ANSWER_WIDTH = 100
+"""Maximum width [characters] of each line of messages in a short answer. A message that is too
+wide is cut at the end of a clause; a message without such an end may be wider. Messages beyond the
+width of the second line are only counted. Chosen, not tuned.
+"""
+
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """{severity of a finding: emphasis of its text in a document}, values of ``Text.mark``."""
 

@@ -25,6 +25,7 @@ from rich.text import Text
 
 from pupper_analysis.base.runs import current_language
 from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
     Block,
     Document,
     FileFinding,
@@ -41,12 +42,6 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
-
-MAX_ANSWER_WIDTH = 100
-"""Maximum width [characters] of each line of messages in a short answer. A message that is too
-wide is cut at the end of a clause; a message without such an end may be wider. Messages beyond the
-width of the second line are only counted. Chosen, not tuned.
-"""
 
 MAX_SHORT_FINDINGS = 8
 """Largest number of findings in files that the short view (without ``-v``) prints. Chosen, not

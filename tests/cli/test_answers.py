@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH
 from tests.robots.test_real_robots import LAB, URDF, file
 from tests.support.commands import Answer, answer
 from tests.support.every_command import share_robots

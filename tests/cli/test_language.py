@@ -18,8 +18,7 @@ from rich.cells import cell_len
 from pupper_analysis import cli
 from pupper_analysis.cli.shared import LANGUAGE_OPTION, LANGUAGE_VARIABLE
 from pupper_analysis.present import terminal
-from pupper_analysis.present.document import Report
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Report
 from tests.cli.test_answers import COMMANDS
 from tests.support.commands import Answer, answer
 from tests.support.every_command import share_robots

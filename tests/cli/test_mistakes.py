@@ -9,7 +9,7 @@ import pytest
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import parse_contact
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 

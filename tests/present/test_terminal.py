@@ -10,6 +10,7 @@ import pytest
 from rich.cells import cell_len
 
 from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
     Column,
     Document,
     FileFinding,
@@ -22,7 +23,6 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.terminal import (
-    MAX_ANSWER_WIDTH,
     MAX_SHORT_FINDINGS,
     MAX_SHORT_NOTES,
     SafeConsole,

@@ -153,8 +153,7 @@ def _write_first_config(config: Path | None, folder: Path) -> None:
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.base.inputs import CONFIG_NAME, is_folder, path_exists
-    from pupper_analysis.present.document import join_words, text
-    from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+    from pupper_analysis.present.document import MAX_ANSWER_WIDTH, join_words, text
     from pupper_analysis.tools.check.config import write_config
 
     if config is not None:

@@ -140,14 +140,9 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         return _describe_upper_bound(limit)
     line = _format_payload(limit)
     head = _select_verdict_word(limit)
-    if len(f"{head.short or head.en} {limit.name}: {line.short}") > _MAX_LINE_WIDTH:
+    if len(f"{head.short or head.en} {limit.name}: {line.short}") > doc.MAX_ANSWER_WIDTH:
         return _format_payload(limit, brief=True)
     return line
-
-
-_MAX_LINE_WIDTH = 100
-"""Width of the first line [characters] above which it abbreviates "without gravity compensation".
-Equal to `present.terminal.MAX_ANSWER_WIDTH`, the width of an answer."""
 
 
 def _format_payload(limit: PayloadLimit, *, brief: bool = False) -> doc.Text:

@@ -7,8 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pupper_analysis.present.document import Document, NextStep, Table, Text, get_english
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
+    Document,
+    NextStep,
+    Table,
+    Text,
+    get_english,
+)
 from pupper_analysis.tools.best.document import (
     _make_next_step,
     _make_search_line,

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Name, Text, diagnostic_text, get_english, text
+from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
+    BarPlot,
+    Name,
+    Text,
+    diagnostic_text,
+    get_english,
+    text,
+)
 from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.tools.fit.command import _select_next_step
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, SURROUNDINGS_KINDS, Parameter
@@ -173,7 +180,7 @@ if __name__ == "__main__":
 
 
 def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:
-    """Both had more than 150 characters; `terminal.MAX_ANSWER_WIDTH` is the limit."""
+    """Both had more than 150 characters; `MAX_ANSWER_WIDTH` is the limit."""
     place = {"mass": "0.4755", "link": Name("base_link"), "x": "-10.0", "y": "-10.0", "z": "110.8"}
     planned = text("put-it-there", stands=12, **place)
     angle = Quantity(math.radians(0.1516), "rad")

@@ -14,8 +14,14 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.units import HINGE_UNITS
-from pupper_analysis.present.document import NextStep, Number, Table, get_english, text
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
+    NextStep,
+    Number,
+    Table,
+    get_english,
+    text,
+)
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.stance.stand import stand_statics

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from pupper_analysis.present.document import Text, text
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Text, text
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.path.command import command
 from pupper_analysis.tools.path.document import path_document

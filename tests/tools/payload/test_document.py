@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import BarPlot, Table, Text, get_english, text
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
+    BarPlot,
+    Table,
+    Text,
+    get_english,
+    text,
+)
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document

@@ -13,6 +13,7 @@ from matplotlib.image import imread
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
     Document,
     Name,
     NextStep,
@@ -24,7 +25,6 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.html.plots import BOTTOM_MARGIN, draw_svg
 from pupper_analysis.present.plots import make_joint_title
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.simulation.verdict import Question, VerdictCode, judge_stance

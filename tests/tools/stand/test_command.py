@@ -14,7 +14,7 @@ from pupper_analysis import StandTask, Weld, load_variant, solve_stand
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, prepare_robot
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH
 from pupper_analysis.pupper import VariantSpec
 from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.stand.stance import explain_loading, study_stance

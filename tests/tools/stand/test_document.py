@@ -8,14 +8,13 @@ from dataclasses import replace
 import pytest
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.present.document import Text, get_english
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Text, get_english
 from pupper_analysis.present.documents.loads import format_share
 from pupper_analysis.present.documents.servos import (
     describe_servo_gains,
     exceeds_explicit_damping,
     round_bound,
 )
-from pupper_analysis.present.terminal import MAX_ANSWER_WIDTH
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.simulation.servo_bounds import SoftServos
 from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
