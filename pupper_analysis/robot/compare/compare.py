@@ -66,6 +66,7 @@ from pupper_analysis.robot.compare.differences import (
     with_names_of_models,
 )
 from pupper_analysis.robot.contact import limb_ends
+from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -529,30 +530,12 @@ def compare_files(
         conventions=matched.conventions,
         unstated=matched.unstated,
     )
-    renamed_joints = matched.guessed if strict_names else {}
     sources = matched.sources(urdf_file, mjcf_file)
-    servos = _compare_servo_gains(matched, urdf_file, mjcf_file, tolerances)
-    name_differences = (_report_name(*pair) for pair in renamed_joints.items())
-    unplaced = (*explanation.differences, *name_differences, *servos)
-    located = tuple(_add_places(unplaced, sources, urdf_file, mjcf_file))
     mjcf_model = read_mjcf_model(mjcf_file)
-    contact_differences, contact_notes = _compare_ground_contact(
-        matched, urdf_file, mjcf_file, mjcf_model, located
+    differences, contact_notes = _list_differences(
+        matched, explanation, sources, (urdf_file, mjcf_file), mjcf_model, tolerances, strict_names
     )
-    differences = tuple(
-        sorted((*located, *contact_differences), key=lambda difference: difference.rank)
-    )
-    causes = _find_causes(
-        robot, alignment.values, differences, tolerances, _bodies_with_geom_mass(mjcf_file)
-    )
-    groups = [
-        [(differences[index].kind, differences[index].element) for index in cause.differences]
-        for cause in causes
-    ]
-    effects = compute_joint_effects(
-        robot, groups, explanation, tolerances=tolerances, alignment=alignment
-    )
-    causes = tuple(map(_set_effects, causes, effects))
+    causes = _find_causes(robot, alignment, explanation, differences, tolerances, mjcf_file)
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = (*_report_missing_base_mass(matched), *_find_objections(explanation, tolerances))
     if mount is not None and strict_names:
@@ -566,13 +549,9 @@ def compare_files(
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
         parts=matched.parts,
-        notes=(
-            *matched.notes,
-            *explanation.notes,
-            *contact_notes,
-        ),
+        notes=(*matched.notes, *explanation.notes, *contact_notes),
         differences=differences,
-        causes=_sort_causes(causes, differences),
+        causes=causes,
         deviations=explanation.deviations,
         residual=explanation.residual,
         explained=_explained_fraction(explanation),
@@ -610,7 +589,52 @@ def _describe_refusal(mjcf: MjcfFile) -> Diagnostic | None:
     return None
 
 
-def _find_causes(*of: object) -> tuple[PatternCause, ...]:
+def _list_differences(
+    matched: Match,
+    explanation: Explanation,
+    sources: tuple[Sources, Sources],
+    files: tuple[UrdfFile, MjcfFile],
+    mjcf_model: MjcfModel,
+    tolerances: Tolerances,
+    strict_names: bool,
+) -> tuple[tuple[Difference, ...], list[Diagnostic]]:
+    """List the differences of dynamics, joint names, servo gains and foot heights.
+
+    Returns:
+        Differences with their locations, sorted by rank; notes on the comparison of foot heights.
+    """
+    renamed_joints = matched.guessed if strict_names else {}
+    servos = _compare_servo_gains(matched, *files, tolerances)
+    name_differences = (_report_name(*pair) for pair in renamed_joints.items())
+    unplaced = (*explanation.differences, *name_differences, *servos)
+    located = tuple(_add_places(unplaced, sources, *files))
+    contact_differences, notes = _compare_ground_contact(matched, *files, mjcf_model, located)
+    differences = (*located, *contact_differences)
+    return tuple(sorted(differences, key=lambda difference: difference.rank)), notes
+
+
+def _find_causes(
+    robot: Robot,
+    alignment: Alignment,
+    explanation: Explanation,
+    differences: Sequence[Difference],
+    tolerances: Tolerances,
+    mjcf: MjcfFile,
+) -> tuple[PatternCause, ...]:
+    """Find mistakes in a file, with their joint effects, in the order of `_sort_causes`."""
+    bodies = _bodies_with_geom_mass(mjcf)
+    causes = _find_mistakes(robot, alignment.values, differences, tolerances, bodies)
+    groups = [
+        [(differences[index].kind, differences[index].element) for index in cause.differences]
+        for cause in causes
+    ]
+    effects = compute_joint_effects(
+        robot, groups, explanation, tolerances=tolerances, alignment=alignment
+    )
+    return _sort_causes(tuple(map(_set_effects, causes, effects)), differences)
+
+
+def _find_mistakes(*of: object) -> tuple[PatternCause, ...]:
     """Find mistakes in a file, such as wrong units, that explain differences.
 
     ``of`` contains the arguments of the module ``causes`` of a tool: robot, tree of the MJCF,
