@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, contains_error, diagnose
 from pupper_analysis.models.mjcf import compile_spec, lower_boundmass
 from pupper_analysis.prepare.causes import TIE_CODES
 from pupper_analysis.prepare.limits import (
@@ -157,7 +157,7 @@ def judge_simulation(
     )
     if not any(cause.code in TIE_CODES for cause in causes):
         remarks = (*_report_world_ties(robot, joints), *remarks)
-    errors = any(remark.severity is Severity.ERROR for remark in remarks)
+    errors = contains_error(remarks)
     # With given gains, the run from the keyframe is information only.
     if fed.passed and not (errors or causes or overloaded_motors or servos.replacement_servos):
         named, published = name_remaining_cause(robot, None if given else keyframe_run, published)

@@ -20,6 +20,7 @@ from pupper_analysis.base.diagnostics.diagnostic import Severity as Severity
 from pupper_analysis.base.diagnostics.diagnostic import Source as Source
 from pupper_analysis.base.diagnostics.diagnostic import Subject as Subject
 from pupper_analysis.base.diagnostics.diagnostic import Value as Value
+from pupper_analysis.base.diagnostics.diagnostic import contains_error as contains_error
 from pupper_analysis.base.diagnostics.diagnostic import diagnose as diagnose
 from pupper_analysis.base.diagnostics.diagnostic import merge_diagnostics as merge_diagnostics
 from pupper_analysis.base.diagnostics.templates import UNLIMITED as UNLIMITED

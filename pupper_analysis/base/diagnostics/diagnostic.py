@@ -248,6 +248,11 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
     )
 
 
+def contains_error(diagnostics: Iterable[Diagnostic]) -> bool:
+    """Return True if the severity of at least one diagnostic is ERROR."""
+    return any(diagnostic.severity is Severity.ERROR for diagnostic in diagnostics)
+
+
 def _shorten_diagnostics(value: Value) -> Value:
     """Replace each diagnostic in a value by its short text, if the diagnostic has one."""
     if isinstance(value, tuple):

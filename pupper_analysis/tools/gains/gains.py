@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, contains_error, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
@@ -292,8 +292,7 @@ class GainStudy(Tabular):
         False also if the robot is predicted not to stand without feed-forward, if an invalid servo
         of the file was replaced, if the mass of a link was assumed, or if `ties` contains an error.
         """
-        tied = any(tie.severity is Severity.ERROR for tie in self.ties)
-        return self.stands_stably and self.missing_masses is None and not tied
+        return self.stands_stably and self.missing_masses is None and not contains_error(self.ties)
 
     @property
     def stands_stably(self) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, contains_error, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.motors.motor import Motor, list_unknown_numbers
@@ -234,8 +234,7 @@ class HeatStudy(Tabular):
 
         False also if `ties` contains an error.
         """
-        tied = any(tie.severity is Severity.ERROR for tie in self.ties)
-        return self.known and not self.overheats and not self.weak and not tied
+        return self.known and not self.overheats and not self.weak and not contains_error(self.ties)
 
 
 @check_arguments
