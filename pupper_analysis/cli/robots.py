@@ -9,10 +9,12 @@ model files. `RobotOptions` collects the typed options and returns the selected 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -337,6 +339,24 @@ def load_selected_robot(
     from pupper_analysis.pupper.variant_files import load_variant
 
     return load_variant(meant, fixed_base=fixed_base)
+
+
+@contextmanager
+def write_selected_variant(
+    meant: str | VariantSpec | RobotFiles,
+) -> Iterator[tuple[Path, Path] | None]:
+    """Write the URDF and MJCF of a selected variant to a temporary folder; yield their paths.
+
+    A variant may be derived, so that it has no files of its own. None for files of the user. The
+    folder is deleted at the end of the context.
+    """
+    if isinstance(meant, RobotFiles):
+        yield None
+        return
+    from pupper_analysis.pupper.variant_files import write_variant
+
+    with TemporaryDirectory() as folder:
+        yield write_variant(meant, folder)
 
 
 def name_uniquely(

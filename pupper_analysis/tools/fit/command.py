@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import fields, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -33,6 +32,7 @@ from pupper_analysis.cli.robots import (
     pass_robot_options,
     print_robot_notes,
     robot_argument,
+    write_selected_variant,
 )
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -658,12 +658,7 @@ def _write_models(
         messages.append(text("note-line", note=diagnostic_text(inflated)))
     elif not found.explained:
         return [diagnostic_text(diagnose("fit-not-written", folder=str(folder)))], ()
-    with TemporaryDirectory() as temporary:
-        files = None
-        if not isinstance(selection, RobotFiles):  # a variant may have no files of its own
-            from pupper_analysis.pupper.variant_files import write_variant
-
-            files = write_variant(selection, temporary)
+    with write_selected_variant(selection) as files:
         written = write_fit(robot, posterior, folder, fit=found, files=files)
     first_notes = {note.code: note for note in reversed(written.diagnostics)}  # one of each kind
     for note in reversed(first_notes.values()):

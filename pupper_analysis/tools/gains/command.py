@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -124,8 +123,7 @@ def _write_files(
 
     The files do not contain the payload of the command line.
     """
-    from pupper_analysis.cli.robots import load_selected_robot
-    from pupper_analysis.prepare.convert.files import RobotFiles
+    from pupper_analysis.cli.robots import load_selected_robot, write_selected_variant
     from pupper_analysis.present.document import diagnostic_text
     from pupper_analysis.tools.gains.write import write_gains
 
@@ -134,12 +132,7 @@ def _write_files(
     robot = load_selected_robot(
         selection, fixed_base=request.fixed_base, as_is=request.as_is, visuals=False
     )
-    with TemporaryDirectory() as temporary:
-        files = None
-        if not isinstance(selection, RobotFiles):  # a derived variant has no files of its own
-            from pupper_analysis.pupper.variant_files import write_variant
-
-            files = write_variant(selection, temporary)
+    with write_selected_variant(selection) as files:
         write_gains(study, robot, folder, files=files)
     shared.confirm_written(folder)
     if request.payload:
