@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 from click.shell_completion import CompletionItem
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -357,6 +357,31 @@ def write_selected_variant(
 
     with TemporaryDirectory() as folder:
         yield write_variant(meant, folder)
+
+
+def check_base_is_free(robot: Robot, code: str, propose: Callable[[], str], **values: Any) -> None:
+    """Raise an error if the base is fixed, with a proposed command.
+
+    The error has no command if a note on the robot states why it cannot stand.
+
+    Args:
+        robot: Robot.
+        code: Code of the diagnostic of the error; see `Robot.check_floating`.
+        propose: Function that returns the proposed command (`complete_command`). It may raise an
+            error instead.
+        **values: Further values of the diagnostic.
+
+    Raises:
+        ConfigurationError: If the base is fixed, or falls.
+        ModelError: If a fault in a model file prevents a stand.
+    """
+    try:
+        robot.check_floating(code, **values)
+    except ConfigurationError as error:
+        problem = error.problem
+        if isinstance(problem, Diagnostic) and problem.code == code and not problem.values["why"]:
+            error.add_note(propose())
+        raise
 
 
 def name_uniquely(

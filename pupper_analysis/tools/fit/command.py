@@ -12,7 +12,7 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.arguments import find_name_patterns
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
     InputError,
@@ -28,6 +28,7 @@ from pupper_analysis.cli.robots import (
     VARIANT_OPTIONS,
     RobotOptions,
     add_options,
+    check_base_is_free,
     load_selected_robot,
     pass_robot_options,
     print_robot_notes,
@@ -313,19 +314,13 @@ def _check_stands(
         stands: File of recorded stands.
         has_kp: Whether kp is typed.
     """
-    try:
-        robot.check_floating("stands-of-fixed-base", mode=mode)
-    except ConfigurationError as error:
-        problem = error.problem
-        if (
-            isinstance(problem, Diagnostic)
-            and problem.code == "stands-of-fixed-base"
-            and not problem.values["why"]
-        ):
-            omitted = (*_MEASURING_OPTIONS, "--stands", "--weight")
-            step = NextStep("fit", ("--log", "motion.csv"), omitted=omitted)
-            error.add_note(complete_command(step))
-        raise
+
+    def propose_log() -> str:
+        """Return the command that fits a log of motions."""
+        omitted = (*_MEASURING_OPTIONS, "--stands", "--weight")
+        return complete_command(NextStep("fit", ("--log", "motion.csv"), omitted=omitted))
+
+    check_base_is_free(robot, "stands-of-fixed-base", propose_log, mode=mode)
     if (planned := record or stands) is not None:
         plan = record or Path("plan.csv")
         _check_planned_file(planned, robot, plan, has_kp=has_kp, recorded=record is None)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
-from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.robots import check_base_is_free, robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
     complete_motor_command,
@@ -140,20 +140,14 @@ def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> N
     from pupper_analysis.robot.plane import Weld
     from pupper_analysis.robot.touching import with_contacts
 
-    try:
-        robot.check_floating("heat-of-fixed-base")
-    except ConfigurationError as error:
-        problem = error.problem
-        if (
-            isinstance(problem, Diagnostic)
-            and problem.code == "heat-of-fixed-base"
-            and not problem.values["why"]
-        ):
-            with_contacts(robot, {"base": Weld()})  # refuses a base that cannot be welded
-            texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
-            words = ("--contact", "base=weld", *_propose_limit(texts, limit))
-            error.add_note(complete_motor_command(texts, robot, words))
-        raise
+    def propose_weld() -> str:
+        """Return the command that welds the base; raise an error if it cannot be welded."""
+        with_contacts(robot, {"base": Weld()})
+        texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
+        words = ("--contact", "base=weld", *_propose_limit(texts, limit))
+        return complete_motor_command(texts, robot, words)
+
+    check_base_is_free(robot, "heat-of-fixed-base", propose_weld)
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
