@@ -246,22 +246,9 @@ def command(
             robot, count, output, priors=priors, kp=stiffness, added=load, added_at=place
         )
     else:
-        from pupper_analysis.tools.fit.fit import fit as fit_numbers
-
         measured, held_out = _read_measurements(stands, logs, hold_out)
-        with (
-            _propose_gains(robot, output, is_log=bool(logs)),
-            shared.show_progress("fitting the robot's numbers to the measurements"),
-        ):
-            result = fit_numbers(
-                robot,
-                measured,
-                priors=priors,
-                kp=stiffness,
-                kd=damping,
-                weight=mass,
-                hold_out=held_out,
-            )
+        options = {"kp": stiffness, "kd": damping, "weight": mass, "hold_out": held_out}
+        result = _fit_measurements(robot, measured, output, priors=priors, **options)
     if style == "text":
         print_robot_notes(robot, everything=everything)
     step = _select_next_step(result, output)
@@ -600,6 +587,22 @@ def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) 
     if output is not None:
         write_plan(plan, output)
     return plan
+
+
+def _fit_measurements(
+    robot: Robot, measured: MeasuredStands | list[Log], output: Path | None, **options: Any
+) -> Fit:
+    """Fit a robot to stands, or to logs of motions, which also require kd.
+
+    ``output`` is repeated in the command that an error about unknown servo gains contains.
+    """
+    from pupper_analysis.tools.fit.fit import fit
+
+    with (
+        _propose_gains(robot, output, is_log=isinstance(measured, list)),
+        shared.show_progress("fitting the robot's numbers to the measurements"),
+    ):
+        return fit(robot, measured, **options)
 
 
 def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
