@@ -15,6 +15,9 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
 if TYPE_CHECKING:
+    from pupper_analysis.models.mjcf_file import MjcfFile
+    from pupper_analysis.models.urdf_file import UrdfFile
+    from pupper_analysis.present.document import NextStep
     from pupper_analysis.tools.audit.registry import Audit
 
 
@@ -87,16 +90,14 @@ def command(
     Exit status: 0 all findings are less severe than --fail-on, 1 otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
-    from pupper_analysis.present import formats
-    from pupper_analysis.present.document import NextStep, text
+    from pupper_analysis.present.document import text
     from pupper_analysis.pupper.named_robots import (
         find_model,
         is_variant,
         refuse_unknown_variant,
     )
-    from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
-    from pupper_analysis.tools.audit.fix import list_unique_repairs
+    from pupper_analysis.tools.audit.document import describe_counts
 
     if list_rules:
         refuse_unused("--list-rules", {"--list-rules": {"list_rules"}})
@@ -112,39 +113,28 @@ def command(
     if fix and (named or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
     arguments = shared.parse_xacro_args(xacro_args)
+
+    def audit(model: Path | UrdfFile | MjcfFile) -> Audit:
+        """Audit a model with the options of the command."""
+        return audit_model(
+            model, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
+        )
+
     with shared.show_progress("checking the model against the rules"):
         models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
-        results = [
-            audit_model(
-                model, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
-            )
-            for model in models
-        ]
+        results = [audit(model) for model in models]
     if style in ("text", "markdown"):
+        step = _select_next_step(results, fix=fix, confirmed=confirmed)
         shown = [("", result) for result in results]
-        step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant
-        if fix and list_unique_repairs(results):
-            may_write = confirmed or sys.stdin.isatty()
-            words = () if may_write else ("--fix", "--yes")
-            step = NextStep("audit", words, omitted=("--fix", "--yes"))
         shared.show_results(shown, style, everything=everything, next_step=step)
     else:
-        found = [
-            annotation
-            for result in results
-            for annotation in audit_report.make_audit_annotations(result)
-        ]
-        click.echo(formats.write_annotations(style, found, f"pupper-analysis audit {file.name}"))
+        _print_annotations(results, style, file.name)
     is_text = style == "text"
     if fix and (
         count := _fix_files(results, confirmed=confirmed, force=force, prints_patch=is_text)
     ):
-        results = [
-            audit_model(
-                file, packages=folders, disabled=disabled, xacro=xacro, xacro_args=arguments
-            )
-        ]
-        left = audit_report.describe_counts(results[0].counts)
+        results = [audit(file)]
+        left = describe_counts(results[0].counts)
         shared.print_text(text("repairs-written", count=count, left=left), err=True)
     least = Severity(fail_on).rank
     passed = all(finding.severity.rank > least for result in results for finding in result.findings)
@@ -161,6 +151,31 @@ def _print_rules() -> None:
     from pupper_analysis.tools.audit.document import make_rules_table
 
     print_table(make_console(), make_rules_table())
+
+
+def _select_next_step(audits: Sequence[Audit], *, fix: bool, confirmed: bool) -> NextStep | None:
+    """Return the command to suggest next: `crosscheck` for both files of a variant; else None.
+
+    With ``fix``, it is `audit` if repairs are unambiguous: without options if this run may write
+    the repairs, otherwise with the options that write them.
+    """
+    from pupper_analysis.present.document import NextStep
+    from pupper_analysis.tools.audit.fix import list_unique_repairs
+
+    if fix and list_unique_repairs(audits):
+        may_write = confirmed or sys.stdin.isatty()
+        words = () if may_write else ("--fix", "--yes")
+        return NextStep("audit", words, omitted=("--fix", "--yes"))
+    return NextStep("crosscheck") if len(audits) > 1 else None
+
+
+def _print_annotations(audits: Sequence[Audit], style: str, name: str) -> None:
+    """Print the findings on the file ``name`` as annotations in the format ``style``."""
+    from pupper_analysis.present.formats import write_annotations
+    from pupper_analysis.tools.audit.document import make_audit_annotations
+
+    annotations = [found for audit in audits for found in make_audit_annotations(audit)]
+    click.echo(write_annotations(style, annotations, f"pupper-analysis audit {name}"))
 
 
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
