@@ -122,21 +122,10 @@ def judge_simulation(
     keyframe_run = (
         explain_own_run(robot) if loaded.floating else simulate_fixed_base(loaded, joints)
     )
-    if statics is not None and fed.passed:
-        fragile = alone is not None and not alone.passed
-        fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd, fragile=fragile)
-    if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
-        fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
-    if not loaded.floating and (moved := describe_violated_keyframe(loaded, joints)) is not None:
-        fed = replace(fed, passed=False, failures=(moved, *fed.failures))
+    fed, alone, null = _add_failures(robot, stand, fed, alone, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
-    fed, alone, null = _apply_zero_torque_limits(robot, fed, alone, statics)
-    unknown, masses = None, describe_missing_masses(loaded)
-    if statics is not None:
-        unknown = describe_unknown_limits(robot, statics)
-        strained = describe_loaded_passive_joints(robot, statics)
-        if strained is not None and not fed.passed:
-            fed = replace(fed, failures=(*fed.failures, strained))
+    unknown = None if statics is None else describe_unknown_limits(robot, statics)
+    masses = describe_missing_masses(loaded)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
     given = servos.source is ServoSource.GIVEN
     overloaded_motors = (
@@ -175,6 +164,41 @@ def judge_simulation(
         masses_unknown=masses is not None,
         remarks=remarks,
     )
+
+
+def _add_failures(
+    robot: Robot,
+    stand: Stand,
+    fed: Outcome,
+    alone: Outcome | None,
+    statics: GravityCompensation | None,
+    trial: NudgeTrial | None,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
+    """Add failures of a stand that its simulations do not contain.
+
+    These are failures after a nudge, by feet without friction, by a keyframe that violates
+    constraints, and by motors with a torque limit of zero. If the simulation ``fed`` fails, loaded
+    joints without motor are added as a possible cause.
+
+    Returns:
+        Both simulations, and the message of `_apply_zero_torque_limits`.
+    """
+    loaded, joints = get_loaded_robot(robot), stand.qpos[-robot.nu :]
+    if statics is not None and fed.passed:
+        fragile = alone is not None and not alone.passed
+        fed = _fail_if_upset(robot, stand, fed, statics, trial, kp, kd, fragile=fragile)
+    if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
+        fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
+    if not loaded.floating and (moved := describe_violated_keyframe(loaded, joints)) is not None:
+        fed = replace(fed, passed=False, failures=(moved, *fed.failures))
+    fed, alone, null = _apply_zero_torque_limits(robot, fed, alone, statics)
+    if statics is not None and not fed.passed:
+        strained = describe_loaded_passive_joints(robot, statics)
+        if strained is not None:
+            fed = replace(fed, failures=(*fed.failures, strained))
+    return fed, alone, null
 
 
 def _apply_zero_torque_limits(
