@@ -195,8 +195,7 @@ def tool_payload(
     """Compute the largest point masses [kg] at a tool that motors and servos hold.
 
     In a single posture, torques are linear in the mass, so the limit has a closed form. The limit
-    over all postures is reduced iteratively: each iteration searches the worst postures with the
-    present limit as payload.
+    over all postures is found by iteration (`_find_payload_of_all_postures`).
 
     Args:
         robot: Robot with a fixed base.
@@ -241,26 +240,16 @@ def tool_payload(
             code=code,
             **known,
         )
-    smallest, weakest, qpos = _find_smallest_payload(robot, tool, [posture.qpos, *worst.postures])
-    smallest = min(smallest, UNLIMITED_MASS_RATIO * compute_reference_mass(robot))
-    loaded = worst
-    for _ in range(_MAX_PAYLOAD_ROUNDS if smallest > 0 else 0):
-        loaded = worst_postures(
-            robot, posture, tool, payload=smallest, near=loaded, bearing=may_bear
-        )
-        lower, lower_joint, lower_qpos = _find_smallest_payload(robot, tool, list(loaded.postures))
-        before = smallest
-        if lower < smallest:
-            smallest, weakest, qpos = lower, lower_joint, lower_qpos
-        if lower > (1 - _PAYLOAD_RTOL) * before:
-            break
+    worst_mass, worst_joint, qpos = _find_payload_of_all_postures(
+        robot, posture, tool, worst, may_bear
+    )
     return ToolPayload(
         mass=mass,
         joint=joint,
         servos=servos,
         servo=servo,
-        worst_posture_mass=smallest if weakest else math.inf,
-        worst_posture_joint=weakest,
+        worst_posture_mass=worst_mass,
+        worst_posture_joint=worst_joint,
         posture=qpos,
         code=EffortCode.STATED,
         unknown=(),
@@ -353,6 +342,41 @@ def servo_payload(
     if masses[first] < stable:
         return float(masses[first]), robot.joint_names[first]
     return stable, ""
+
+
+def _find_payload_of_all_postures(
+    robot: Robot, posture: Posture, tool: Tool, worst: WorstPostures, may_bear: NDArray[np.bool_]
+) -> tuple[float, str, Array]:
+    """Find the largest mass at a tool that the motors hold in all postures of the searches.
+
+    Each iteration searches the worst postures with the present limit as payload, and reduces the
+    limit. It ends if the limit decreases by less than `_PAYLOAD_RTOL`, or after
+    `_MAX_PAYLOAD_ROUNDS`.
+
+    Args:
+        robot: Robot with a fixed base.
+        posture: Posture of the robot.
+        tool: Point with the mass.
+        worst: Worst postures without the mass.
+        may_bear: Mask (nu,) of the motors that may bear the mass.
+
+    Returns:
+        Mass [kg], infinite without a limit; joint with the limit, or ""; posture (nu,) [rad, m].
+    """
+    smallest, weakest, qpos = _find_smallest_payload(robot, tool, [posture.qpos, *worst.postures])
+    smallest = min(smallest, UNLIMITED_MASS_RATIO * compute_reference_mass(robot))
+    loaded = worst
+    for _ in range(_MAX_PAYLOAD_ROUNDS if smallest > 0 else 0):
+        loaded = worst_postures(
+            robot, posture, tool, payload=smallest, near=loaded, bearing=may_bear
+        )
+        lower, lower_joint, lower_qpos = _find_smallest_payload(robot, tool, list(loaded.postures))
+        before = smallest
+        if lower < smallest:
+            smallest, weakest, qpos = lower, lower_joint, lower_qpos
+        if lower > (1 - _PAYLOAD_RTOL) * before:
+            break
+    return smallest if weakest else math.inf, weakest, qpos
 
 
 def _find_smallest_payload(
@@ -540,11 +564,9 @@ def hold_posture(
         simulated = point.position(Configuration(robot, end_qpos)) - point.position(config)
     worst = worst_postures(robot, posture, point)
     limits = tool_payload(robot, posture, point, worst, kp=kp)
-    trial, max_mass = None, min(limits.mass, limits.servos)
+    max_mass, trial = min(limits.mass, limits.servos), None
     if 0 < max_mass < math.inf:
-        loaded = with_payload(robot, VERIFIED_FRACTION * max_mass, point)
-        loaded_stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
-        trial = verify_stand(loaded, loaded_stand, kp=kp, kd=kd)
+        trial = _verify_payload(robot, posture, point, VERIFIED_FRACTION * max_mass, kp, kd)
     judged = fed
     if (violated := _describe_violated_keyframe(robot, posture)) is not None:
         judged = replace(fed, passed=False, failures=(violated, *fed.failures))
@@ -579,6 +601,20 @@ def hold_posture(
         reach=reach_load(robot, posture, point),
         mass_by_commands_alone=mass_alone,
     )
+
+
+def _verify_payload(
+    robot: Robot,
+    posture: Posture,
+    tool: Tool,
+    mass: float,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> StandVerification:
+    """Simulate a posture, with feed-forward, with a further mass [kg] at a tool."""
+    loaded = with_payload(robot, mass, tool)
+    stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
+    return verify_stand(loaded, stand, kp=kp, kd=kd)
 
 
 def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | None:
