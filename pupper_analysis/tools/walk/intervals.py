@@ -330,11 +330,31 @@ def _lowest_foot_height(stage: Stage, model: mujoco.MjModel) -> float:
     return float(data.geom_xpos[list(stage.robot.foot_geoms), 2].min())
 
 
+def _check_quantities(
+    quantities: tuple[str, ...], measured: Mapping[str, tuple[float, float]] | None
+) -> None:
+    """Raise a ConfigurationError if a quantity is unknown, or measured intervals are not valid."""
+    for name in quantities:
+        if name not in VARIED_QUANTITIES:
+            problem = diagnose("none-of", value=name, known=tuple(VARIED_QUANTITIES))
+            raise ConfigurationError("vary", problem)
+    if measured is not None and not any(name in measured for name in quantities):
+        problem = diagnose("fit-of-other-quantities", measured=tuple(measured))
+        raise ConfigurationError("vary", problem)
+    for name, (low, high) in (measured or {}).items():
+        if low > high:
+            problem = diagnose("interval-ends", name=name, low=low, high=high)
+            raise ConfigurationError("measured", problem)
+
+
 _CRITERIA: Mapping[str, Callable[[Tracking], bool]] = {
     "tracks": lambda outcome: outcome.tracks,
     "upright": lambda outcome: outcome.failure != "falls",
 }
 """{criterion of an interval: function that evaluates the outcome of a run}."""
+
+_Trial = tuple[str, float, int]
+"""Name of a quantity, value of the quantity, and seed of a simulation."""
 
 _BracketKey = tuple[str, int, int, str]
 """Quantity, side (0: below, 1: above the nominal value), seed and criterion of a bracket."""
@@ -344,7 +364,7 @@ def _make_interval(
     name: str,
     seeds: tuple[int, ...],
     brackets: Mapping[_BracketKey, list[float]],
-    outcomes: Mapping[tuple[str, float, int], Tracking],
+    outcomes: Mapping[_Trial, Tracking],
     measured: tuple[float, float] | None,
 ) -> TrackedInterval:
     """Create the result of a quantity from the brackets and outcomes of all seeds.
@@ -404,6 +424,27 @@ def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketK
     return brackets
 
 
+def _bisect_brackets(
+    brackets: dict[_BracketKey, list[float]],
+    outcomes: Mapping[_Trial, Tracking],
+    simulate: Callable[[list[_Trial]], None],
+) -> None:
+    """Simulate the bounds of the ranges, then bisect the brackets, in place.
+
+    A bracket whose bound satisfies the criterion ends there, with NaN as violated value; others
+    are halved `NUM_HALVINGS` times. ``simulate`` adds the outcomes of trials to ``outcomes``.
+    """
+    for halving in range(1 + NUM_HALVINGS):
+        values = _select_trial_values(brackets, halve=halving > 0)
+        simulate([(name, value, seed) for (name, _, seed, _), value in values.items()])
+        for key, value in values.items():
+            satisfied = _CRITERIA[key[3]](outcomes[key[0], value, key[2]])
+            if halving:
+                brackets[key][0 if satisfied else 1] = value
+            elif satisfied:
+                brackets[key] = [value, math.nan]
+
+
 def _select_trial_values(
     brackets: Mapping[_BracketKey, list[float]], *, halve: bool
 ) -> dict[_BracketKey, float]:
@@ -460,25 +501,12 @@ def tracked_intervals(
     """
     checked_command = check_command(command)
     check_runs(seeds, seconds, WARM_UP_SECONDS)
-    for name in quantities:
-        if name not in VARIED_QUANTITIES:
-            problem = diagnose("none-of", value=name, known=tuple(VARIED_QUANTITIES))
-            raise ConfigurationError("vary", problem)
-    if measured is not None and not any(name in measured for name in quantities):
-        problem = diagnose("fit-of-other-quantities", measured=tuple(measured))
-        raise ConfigurationError("vary", problem)
-    for name, (low, high) in (measured or {}).items():
-        if low > high:
-            problem = diagnose("interval-ends", name=name, low=low, high=high)
-            raise ConfigurationError("measured", problem)
+    _check_quantities(quantities, measured)
     stage = prepare_stage(robot, policy)
-    outcomes: dict[tuple[str, float, int], Tracking] = {}
+    outcomes: dict[_Trial, Tracking] = {}
 
-    def simulate(trials: list[tuple[str, float, int]]) -> None:
-        """Simulate all trials without an entry in ``outcomes``, and add the entries.
-
-        A trial is a name of a quantity, a value of the quantity, and a seed.
-        """
+    def simulate(trials: list[_Trial]) -> None:
+        """Simulate all trials without an entry in ``outcomes``, and add the entries."""
         new = [trial for trial in dict.fromkeys(trials) if trial not in outcomes]
         cases = [
             make_changed_case(stage, name, value, checked_command, seed)
@@ -495,16 +523,7 @@ def tracked_intervals(
     limited = bool(stage.model.actuator_forcelimited[_find_motors(stage)].any())
     names = [name for name in quantities if name != "strength" or limited]
     brackets = _make_brackets(names, tracking_seeds)
-    # First the end of the range, then bisections.
-    for halving in range(1 + NUM_HALVINGS):
-        values = _select_trial_values(brackets, halve=halving > 0)
-        simulate([(name, value, seed) for (name, _, seed, _), value in values.items()])
-        for key, value in values.items():
-            satisfied = _CRITERIA[key[3]](outcomes[key[0], value, key[2]])
-            if halving:
-                brackets[key][0 if satisfied else 1] = value
-            elif satisfied:
-                brackets[key] = [value, math.nan]
+    _bisect_brackets(brackets, outcomes, simulate)
     intervals = [
         _make_interval(name, tracking_seeds, brackets, outcomes, (measured or {}).get(name))
         for name in names
