@@ -90,13 +90,14 @@ def find_diagnose_calls() -> Iterator[tuple[str, str, set[str] | None]]:
     """Yield (module:line, code, names of the given values) of each call of ``diagnose``.
 
     The names are None if the call takes ``**values``. The code must be a literal or a choice of
-    literals; ``change_of`` and ``check_floating`` take it as their argument.
+    literals; it is an argument of ``change_of``, ``check_floating`` and ``check_base_is_free``.
     """
     for module, node in made_calls():
         made = getattr(node.func, "id", None)
         is_refusal = getattr(node.func, "attr", None) == "check_floating" and bool(node.args)
-        if made == "change_of" or is_refusal:
-            for code in literals(node.args[0], f"{module}:{node.lineno}", trees()[module]):
+        if made in ("change_of", "check_base_is_free") or is_refusal:
+            argument = node.args[made == "check_base_is_free"]
+            for code in literals(argument, f"{module}:{node.lineno}", trees()[module]):
                 yield f"{module}:{node.lineno}", code, None
         if made != "diagnose" or ast.unparse(node).startswith("diagnose(code, subject=subject"):
             continue
