@@ -200,18 +200,7 @@ def _study_robot(
     unknown_limits = unknown_push_limits(robot)
     peaks, region_peaks, beyond_times, energy = None, None, None, None
     if (unknown_limits or motors) and not recovery.failures_without_push:
-        bench = make_push_bench(
-            robot,
-            stand,
-            np.array([recovery.weakest_direction]),
-            duration=recovery.duration,
-            kp=kp,
-            kd=kd,
-            feedforward=True,
-            integrator=None,
-            verification=verification,
-        )
-        samples = bench.simulate_motors(0, recovery.weakest_impulse)
+        samples = _simulate_weakest_push(robot, stand, recovery, verification, kp, kd)
         if unknown_limits:
             peaks = np.abs(samples.torques).max(axis=0)
         if motors:
@@ -234,6 +223,29 @@ def _study_robot(
         beyond_times=beyond_times,
         energy=energy,
     )
+
+
+def _simulate_weakest_push(
+    robot: Robot,
+    stand: Stand,
+    recovery: PushRecovery,
+    verification: StandVerification,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> MotorSamples:
+    """Simulate the largest survived push in the weakest direction; return motor torques."""
+    bench = make_push_bench(
+        robot,
+        stand,
+        np.array([recovery.weakest_direction]),
+        duration=recovery.duration,
+        kp=kp,
+        kd=kd,
+        feedforward=True,
+        integrator=None,
+        verification=verification,
+    )
+    return bench.simulate_motors(0, recovery.weakest_impulse)
 
 
 def _find_effort_code(robot: Robot, unknown_limits: Sequence[str]) -> EffortCode:
