@@ -228,20 +228,7 @@ def interpolate_task(
     centre = feet_centre(robot, ground, contacts, points)
     height = between(float(segment.start.base[2]), float(segment.end.base[2]))
     com = segment.start.com + share * (segment.end.com - segment.start.com)
-    needed = max(1e-6, between(first.com_margin, last.com_margin) - 1e-9)
-    margin = com_margin(com, contacts)
-    if margin < needed:
-        raise StaticsInfeasibleError(
-            Infeasibility.COM_OUTSIDE,
-            diagnose(
-                "com-off-the-feet",
-                margin=Quantity(margin, "m"),
-                feet=contacts,
-                needed=Quantity(needed, "m"),
-            ),
-            margin=margin,
-            feet=contacts,
-        )
+    _check_com_margin(com, contacts, max(1e-6, between(first.com_margin, last.com_margin) - 1e-9))
     final = last.values()
     others: dict[str, Any] = {
         name: None if None in (value, final[name]) else between(value, final[name])
@@ -266,6 +253,26 @@ def interpolate_task(
         ik_seed=tuple(ik_seed),
         **others,
     )
+
+
+def _check_com_margin(com: Array, contacts: Mapping[str, Array], needed: float) -> None:
+    """Raise an error if the margin of the CoM in the support polygon is less than ``needed`` [m].
+
+    ``com`` and ``contacts`` {contact point: position} are in the world frame, shape (3,) [m] each.
+    """
+    margin = com_margin(com, contacts)
+    if margin < needed:
+        raise StaticsInfeasibleError(
+            Infeasibility.COM_OUTSIDE,
+            diagnose(
+                "com-off-the-feet",
+                margin=Quantity(margin, "m"),
+                feet=contacts,
+                needed=Quantity(needed, "m"),
+            ),
+            margin=margin,
+            feet=contacts,
+        )
 
 
 MAX_JUMP = 0.5

@@ -8,7 +8,7 @@ and simulates the path from the nominal stand to a requested stance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -527,13 +527,7 @@ def track_path(
             dofs = 1 + model.nq + robot.mj_convention.qvel_index[robot.nv - robot.nu :]
             speeds = np.vstack([plan.start, states])[:, dofs]
             energy = compute_motor_energy(motors, robot.joint_names, torques[0], speeds, timestep)
-    if path.peak_utilisation > 1:
-        share = _as_finite(path.peak_utilisation)
-        motor = path.motors.get(path.peak_joint, "")
-        failures.append(diagnose("motor-overloaded-on-path", share=share, motor=motor))
-    if path.peak_speed_utilisation > 1:
-        fastest, share = ("joint", path.fastest_joint), _as_finite(path.peak_speed_utilisation)
-        failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
+    failures += _find_exceeded_limits(path)
     if not torque_error <= MAX_TORQUE_ERROR:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
     if not joint_error < MAX_JOINT_ERROR:
@@ -553,6 +547,17 @@ def track_path(
         foot_slip=slip,
         energy=energy,
     )
+
+
+def _find_exceeded_limits(path: StancePath) -> Iterator[Diagnostic]:
+    """Yield a failure if a torque, and if a speed, of a path exceeds the limit of the joint."""
+    if path.peak_utilisation > 1:
+        share = _as_finite(path.peak_utilisation)
+        motor = path.motors.get(path.peak_joint, "")
+        yield diagnose("motor-overloaded-on-path", share=share, motor=motor)
+    if path.peak_speed_utilisation > 1:
+        fastest, share = ("joint", path.fastest_joint), _as_finite(path.peak_speed_utilisation)
+        yield diagnose("joint-too-fast", subject=fastest, share=share)
 
 
 def _compute_torques(plan: PathCommands, states: Array) -> tuple[Array, NDArray[np.bool_]]:
