@@ -497,11 +497,7 @@ def measure_gait(
     """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
-    is_finite = np.asarray(np.isfinite(run.states).all(axis=1))
-    torques = np.nan_to_num(joint_torques(stage, run)[first:], nan=0.0)
-    convention = robot.mj_convention
-    rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
-    rates = np.nan_to_num(rates, nan=0.0)
+    torques, rates = _measure_motors(stage, run, first)
     limits, has_torques = robot.effort_limits, len(torques) > 0
     unknown = np.full((1, robot.nu), np.nan)
     known_torques, known_rates = (torques, rates) if has_torques else (unknown, unknown)
@@ -511,7 +507,6 @@ def measure_gait(
     tracking = evaluate_tracking(stage, run, warm_up)
     power = float(np.maximum(known_torques * known_rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(tracking.velocity))
-    weight = robot.weight
     sampled_states = run.states[first :: stage.substeps]
     sampled_states = sampled_states[np.isfinite(sampled_states).all(axis=1)]
     samples, touching = sample_ground_support(
@@ -522,8 +517,8 @@ def measure_gait(
         for foot in robot.feet
     }
     roll, pitch, bounce = _compute_base_deviations(stage, sampled_states)
-    stride = max(1, round(_MOTION_PERIOD / step))
-    motion_states = run.states[::stride][is_finite[::stride]]
+    motion_states = run.states[:: max(1, round(_MOTION_PERIOD / step))]
+    motion_states = motion_states[np.isfinite(motion_states).all(axis=1)]
     torque_samples = round(1.0 / step)
     times = run.states[first:-1, 0]
     return Gait(
@@ -543,7 +538,7 @@ def measure_gait(
         power=power,
         energy=_compute_run_energy(stage, torques, run.states[first:], motors or {}),
         largest_action=run.largest_action,
-        transport=power / (weight * speed) if speed > SPEED_ATOL else None,
+        transport=power / (robot.weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,
         static=_root_mean_square(np.array([sample.static for sample in samples]))
@@ -554,10 +549,21 @@ def measure_gait(
         bounce=bounce,
         margin=_compute_fall_margin(stage, run),
         motion_time=motion_states[:, 0].copy(),
-        motion=np.round(motion_states[:, 1 + convention.qpos_index], 5),
+        motion=np.round(motion_states[:, 1 + robot.mj_convention.qpos_index], 5),
         torque_time=times[-torque_samples:].copy(),
         torques=np.round(torques[-torque_samples:], 5),
     )
+
+
+def _measure_motors(stage: Stage, run: PolicyRun, first: int) -> tuple[Array, Array]:
+    """Return torques [N m, N] and joint rates [rad/s, m/s] from the state ``first`` on.
+
+    The shapes are (n, nu). The last state has no row; values that are not finite are replaced.
+    """
+    torques = joint_torques(stage, run)[first:]
+    columns = 1 + stage.model.nq + stage.robot.mj_convention.qvel_index[6:]
+    rates = run.states[first:-1, columns]
+    return np.nan_to_num(torques, nan=0.0), np.nan_to_num(rates, nan=0.0)
 
 
 def _compute_base_deviations(stage: Stage, states: Array) -> tuple[float, float, float]:
