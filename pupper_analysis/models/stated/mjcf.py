@@ -102,21 +102,18 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
                 for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_make_inertial(model, body, explicit_inertials.get(body), bound),
-            shapes=(
-                *(
-                    read_shape(model, geom)
-                    for geom in _id_range(model.body_geomadr[body], model.body_geomnum[body])
-                ),
-                *(
-                    [Shape("", "mesh", Pose(), (), collides=False)]
-                    if names[body] in bodies_without_meshes
-                    else []
-                ),
-            ),
+            shapes=_list_shapes(model, body, lacks_mesh=names[body] in bodies_without_meshes),
             frames=tuple(frames.get(body, ())),
         )
     notes, refusal = file.notes, file.as_it_is
     return MjcfModel("mjcf", "body", names[base], bodies, notes, file, model, refusal, tuple(names))
+
+
+def _list_shapes(model: mujoco.MjModel, body: int, *, lacks_mesh: bool) -> tuple[Shape, ...]:
+    """Return the shapes of a body: geoms, and an empty mesh if the file of a mesh is missing."""
+    geoms = _id_range(model.body_geomadr[body], model.body_geomnum[body])
+    missing = [Shape("", "mesh", Pose(), (), collides=False)] if lacks_mesh else []
+    return *(read_shape(model, geom) for geom in geoms), *missing
 
 
 def _list_sites(model: mujoco.MjModel) -> dict[int, list[Frame]]:
