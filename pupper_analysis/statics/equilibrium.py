@@ -609,16 +609,8 @@ def _make_statics_result(
     is_hanging = not (carrying.feet or carrying.fixed_parts)
     base_wrench = load[:free] if is_hanging else np.zeros(free)
     unbalanced = [0.0] * free if is_hanging else remainder[:free].tolist()
-    wrenches: Mapping[str, Array] = _NO_WELDS
-    if carrying.fixed_parts:
-        weld_part = forces[carrying.normals.size :]
-        welds = weld_part[: weld_part.size - 3 * len(carrying.grips)].reshape(-1, 6)
-        grips = weld_part[welds.size :].reshape(-1, 3)
-        rows = np.vstack([welds, np.hstack([grips, 0.0 * grips])])
-        rows.setflags(write=False)
-        wrenches = FrozenDict(zip(carrying.fixed_parts, rows, strict=True))
-        forces = forces[: carrying.normals.size]
-    forces = forces.reshape(-1, 3)
+    wrenches = _read_weld_wrenches(carrying, forces[carrying.normals.size :])
+    forces = forces[: carrying.normals.size].reshape(-1, 3)
     utilisation = compute_utilisation(robot, torques)
     if robot.closure is not None:  # dependent joints have no motor of their own
         dependent = np.isin(np.arange(robot.nu), robot.closure.dependent_joints)
@@ -664,6 +656,21 @@ def _make_statics_result(
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
+
+
+def _read_weld_wrenches(carrying: Contacts, solution: Array) -> Mapping[str, Array]:
+    """Return {fixed part: wrench, shape (6,) [N, N m]} from solved forces of welds and grips.
+
+    ``solution`` contains six numbers for each weld, then three forces for each grip, whose moments
+    are zero.
+    """
+    if not carrying.fixed_parts:
+        return _NO_WELDS
+    welds = solution[: solution.size - 3 * len(carrying.grips)].reshape(-1, 6)
+    grips = solution[welds.size :].reshape(-1, 3)
+    rows = np.vstack([welds, np.hstack([grips, 0.0 * grips])])
+    rows.setflags(write=False)
+    return FrozenDict(zip(carrying.fixed_parts, rows, strict=True))
 
 
 _UNLIMITED_FRICTION = 1e4
