@@ -337,21 +337,7 @@ class _Comparison:
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
         matched = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
         self.differences += find_changed_elements(self.one.elements, matched)
-        combined: tuple[Diagnostic, ...] = ()
-        old_file, new_file = self.one.file, self.two.file
-        if isinstance(old_file, MjcfFile) and isinstance(new_file, MjcfFile):
-            effects, combined = SimulatedPair.from_files(old_file, new_file).compute_effects(
-                explained=bool(self.differences)
-            )
-            match self.differences:
-                case [ElementDifference() as only]:  # effects of the only change
-                    consequences = (*only.consequences, *combined)
-                    self.differences = [replace(only, effects=effects, consequences=consequences)]
-                    combined = ()
-            # A compiled model does not contain the settings of its compiler.
-            compiled = any(isinstance(source.path, mujoco.MjModel) for source in self.sources)
-            if (self.differences or combined) and not compiled:
-                self.differences += find_changed_compiler_settings(old_file, new_file)
+        combined = self._simulate_versions()
         patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))
         residual = {
             name: judge.relative_deviation(name, patched[name], after[name]) for name in patched
@@ -379,6 +365,29 @@ class _Comparison:
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
             edited_masses=_find_edited_masses(self.one, self.two),
         )
+
+    def _simulate_versions(self) -> tuple[Diagnostic, ...]:
+        """Simulate both versions of an MJCF, and return messages on the effects of all changes.
+
+        If there is a single change, of an element, the effects are stored in this change instead.
+        Changed settings of the compiler are added to the changes if the versions differ otherwise.
+        """
+        old_file, new_file = self.one.file, self.two.file
+        if not (isinstance(old_file, MjcfFile) and isinstance(new_file, MjcfFile)):
+            return ()
+        effects, combined = SimulatedPair.from_files(old_file, new_file).compute_effects(
+            explained=bool(self.differences)
+        )
+        match self.differences:
+            case [ElementDifference() as only]:
+                consequences = (*only.consequences, *combined)
+                self.differences = [replace(only, effects=effects, consequences=consequences)]
+                combined = ()
+        # A compiled model does not contain the settings of its compiler.
+        compiled = any(isinstance(source.path, mujoco.MjModel) for source in self.sources)
+        if (self.differences or combined) and not compiled:
+            self.differences += find_changed_compiler_settings(old_file, new_file)
+        return combined
 
     def _compare_extra_values(self) -> Iterator[Difference]:
         """Yield changes of values that a tree lacks, such as motors, springs and mimic joints."""
