@@ -231,15 +231,7 @@ class StandRows:
         qpos[2], qpos[3:7] = base[4], base[:4]
         self.config = Configuration(robot, qpos)
         self._feet = [robot.foot_of(point) for point in points]
-        # The penetration of a sole's points is linearised about that of their mean force. With the
-        # law at each point's force, points would lift off and return in alternating steps.
-        foot_of_point = np.array(self._feet)
-        mean_forces = np.array([forces[foot_of_point == foot, 2].mean() for foot in foot_of_point])
-        mean_depths = [laws[p].depth(f) for p, f in zip(points, mean_forces.tolist(), strict=True)]
-        self._ground_stiffness = np.array(
-            [laws[p].normal_stiffness(d) for p, d in zip(points, mean_depths, strict=True)]
-        )
-        self._depths = np.array(mean_depths) + (forces[:, 2] - mean_forces) / self._ground_stiffness
+        self._set_penetration(laws)
         self._softness = np.array([values.softness[foot] for foot in self._feet])
         self._radius = np.array([robot.contact_radius[point] for point in points])
         self._arms = np.zeros((len(points), 3))
@@ -252,6 +244,44 @@ class StandRows:
         )
         linear, angular = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = linear - cross_matrices(self._arms) @ angular
+        self._set_servo_errors()
+        self._weight = robot.weight
+        num_unknowns, num_sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 6
+        rows = robot.nv + len(points)
+        self.residual = np.zeros(rows)
+        self.by_own, self.by_noise = (
+            np.zeros((rows, size)) for size in (num_unknowns, num_sources)
+        )
+        self._fill_balance()
+        self._fill_contact()
+        self.set_noise(noise)
+
+    def _set_penetration(self, laws: dict[str, GroundLaw]) -> None:
+        """Set stiffness of the ground [N/m] and penetration [m] at each contact point, (p,) each.
+
+        The penetration of a sole's points is linearised about that of their mean force. With the
+        law at each point's force, points would lift off and return in alternating steps.
+        """
+        points, normal_forces = self._reading.points, self._forces[:, 2]
+        foot_of_point = np.array(self._feet)
+        mean_forces = np.array(
+            [normal_forces[foot_of_point == foot].mean() for foot in foot_of_point]
+        )
+        mean_depths = [laws[p].depth(f) for p, f in zip(points, mean_forces.tolist(), strict=True)]
+        self._ground_stiffness = np.array(
+            [laws[p].normal_stiffness(d) for p, d in zip(points, mean_depths, strict=True)]
+        )
+        self._depths = (
+            np.array(mean_depths) + (normal_forces - mean_forces) / self._ground_stiffness
+        )
+
+    def _set_servo_errors(self) -> None:
+        """Set the servo errors (command minus position) reduced by the deadband, (nu,) [rad, m].
+
+        Also set the derivative of the reduction by the deadband [1], and the standard deviation
+        [N m, N] of the torque of friction that holds a joint. All are 0 without a command.
+        """
+        values, reading = self._values, self._reading
         commanded = np.isfinite(reading.command)
         servo_errors = np.where(commanded, reading.command - reading.position, 0.0)
         deadband, sign_band = values.deadband, _compute_sign_band(values.noise_deadband)
@@ -269,16 +299,6 @@ class StandRows:
             / np.hypot(servo_errors, sign_band)
         )
         self._commanded = commanded
-        self._weight = robot.weight
-        num_unknowns, num_sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 6
-        rows = robot.nv + len(points)
-        self.residual = np.zeros(rows)
-        self.by_own, self.by_noise = (
-            np.zeros((rows, size)) for size in (num_unknowns, num_sources)
-        )
-        self._fill_balance()
-        self._fill_contact()
-        self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
         """Set the noise levels, which affect the covariance of the residuals, not the values."""
