@@ -65,29 +65,31 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     """Return each kind of limit with the directions, for the short answer, most directions first.
 
-    For example, ``joints (all but x), joints and ground (pitch)``: each direction is listed once,
-    with the limits at its ends. The directions are the shorter of their list and of the list of the
-    other directions. Names of joints and links are omitted. If the result is wider than
-    `_MAX_LIMITS_WIDTH`, the first limit follows as ``else joints``. If this is too wide as well,
-    each limit lists its directions, then all directions are omitted.
+    Names of joints and links are omitted. The result is the first of these forms that is at most
+    `_MAX_LIMITS_WIDTH` wide; the last form may be wider.
+
+    1. Each direction once, with the limits at both ends:
+       ``joints (all but x), joints and ground (pitch)``.
+    2. The first limit of form 1 at the end, without its directions:
+       ``joints and ground (pitch), else joints``.
+    3. Each limit with all its directions, the first limit at the end, as in form 2.
+    4. The limits without directions.
     """
-    exact: dict[str, list[str]] = {}
+    by_ends: dict[str, list[str]] = {}
+    by_limit: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
-        kinds = sorted({doc.diagnostic_text(limit).short for limit in ends})
-        exact.setdefault(join_words(map(doc.Name, kinds), "and").en, []).append(direction)
-    limited: dict[str, list[str]] = {}
-    for direction, ends in workspace.limits.items():
-        for limit in ends:
-            directions = limited.setdefault(doc.diagnostic_text(limit).short, [])
-            if direction not in directions:
-                directions.append(direction)
-    forms = [
-        form for groups in (exact, limited) for form in _format_limit_groups(workspace, groups)
-    ]
-    where = text("limits-by-direction", limits=", ".join(_sort_by_length(limited))).en
-    # The complete list of `limited`, `forms[2]`, would contain a direction twice.
-    usable = (*forms[:2], forms[3], where)
-    return next((form for form in usable if len(form) <= _MAX_LIMITS_WIDTH), where)
+        limits = dict.fromkeys(doc.diagnostic_text(limit).short for limit in ends)
+        at_ends = join_words(map(doc.Name, sorted(limits)), "and").en
+        by_ends.setdefault(at_ends, []).append(direction)
+        for limit in limits:
+            by_limit.setdefault(limit, []).append(direction)
+    forms = (
+        _format_limits(workspace, by_ends),
+        _format_limits(workspace, by_ends, has_else=True),
+        _format_limits(workspace, by_limit, has_else=True),
+    )
+    only_limits = text("limits-by-direction", limits=", ".join(_sort_by_length(by_limit))).en
+    return next((form for form in forms if len(form) <= _MAX_LIMITS_WIDTH), only_limits)
 
 
 def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
@@ -95,21 +97,23 @@ def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
     return sorted(groups, key=lambda name: -len(groups[name]))
 
 
-def _format_limit_groups(
-    workspace: BaseWorkspace, groups: Mapping[str, Sequence[str]]
-) -> tuple[str, str]:
-    """Format {limit: directions}, completely, and with ``else`` for the first limit."""
+def _format_limits(
+    workspace: BaseWorkspace, groups: Mapping[str, Sequence[str]], *, has_else: bool = False
+) -> str:
+    """Format {limit: directions}, most directions first; with ``has_else``, that limit comes last.
+
+    The directions of a limit are the shorter of their list and ``all but`` the other directions.
+    """
+    limits = _sort_by_length(groups)
     parts = list[str]()
-    names = _sort_by_length(groups)
-    for limit_name in names:
-        directions = groups[limit_name]
-        others = [direction for direction in workspace.limits if direction not in directions]
-        listed = join_words(map(text, directions)).en
-        other = join_words(map(text, others)).en
-        remaining = text("limit-everywhere", other=other).en
-        parts.append(f"{limit_name} ({min(remaining, listed, key=len)})")
-    mostly = [*parts[1:], text("limit-otherwise", limit=names[0]).en] if len(names) > 1 else parts
-    return ", ".join(parts), ", ".join(mostly)
+    for limit in limits:
+        others = [direction for direction in workspace.limits if direction not in groups[limit]]
+        listed = join_words(map(text, groups[limit])).en
+        all_but = text("limit-everywhere", other=join_words(map(text, others)).en).en
+        parts.append(f"{limit} ({min(all_but, listed, key=len)})")
+    if has_else and len(limits) > 1:
+        parts = [*parts[1:], text("limit-otherwise", limit=limits[0]).en]
+    return ", ".join(parts)
 
 
 _MAX_LIMITS_WIDTH = 58
@@ -133,6 +137,42 @@ def _format_rounded_range(low: float, high: float) -> str:
     return f"±{last}" if first == f"-{last}" else f"{first}..{last}"
 
 
+def _select_scale(direction: str) -> tuple[float, str]:
+    """Return the displayed unit of a direction, and the factor from SI units: mm or degrees."""
+    return (math.degrees(1.0), "deg") if direction in ANGLE_COORDINATES else (1e3, "mm")
+
+
+def _format_ends(workspace: BaseWorkspace, direction: str) -> tuple[doc.Number, doc.Number]:
+    """Return both ends of the range of a direction as table cells, in the displayed unit."""
+    interval, (scale, _) = workspace.intervals[direction], _select_scale(direction)
+    form = ".1f" if direction == "height" else "+.1f"
+    low, high = (doc.number_cell(end, form, scale=scale) for end in (interval.low, interval.high))
+    return low, high
+
+
+def _make_row(workspace: BaseWorkspace, direction: str) -> tuple[doc.Cell, ...]:
+    """Create the row of a direction: both ends, unit, and the limit at each end."""
+    limits = map(doc.diagnostic_text, workspace.limits[direction])
+    unit = doc.Name(_select_scale(direction)[1])
+    return text(direction), *_format_ends(workspace, direction), unit, *limits
+
+
+def _describe_range(workspace: BaseWorkspace, direction: str, *, is_last: bool) -> doc.Text:
+    """Create the text of the range of a direction; a symmetric range has a single number.
+
+    The short form contains the unit only if the direction ``is_last`` of its unit.
+    """
+    interval, (scale, unit) = workspace.intervals[direction], _select_scale(direction)
+    low, high = (cell.text for cell in _format_ends(workspace, direction))
+    values: dict[str, object] = {"low": low, "high": high, "unit": unit, "last": is_last}
+    values["ends"] = _format_rounded_range(scale * interval.low, scale * interval.high)
+    key = "range-of-direction"
+    if high.startswith("+") and low == high.replace("+", "-"):
+        key = "symmetric-range-of-direction"
+        values["high"] = high.removeprefix("+")
+    return text(key, direction=text(direction), **values)
+
+
 @build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
     """Create the report of a base workspace: reachable range of each direction [mm, deg].
@@ -140,31 +180,17 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     `build_document` calls this function for a `BaseWorkspace`.
     """
     rows: list[tuple[doc.Cell, ...]] = []
-    lengths, angles = list[doc.Text](), list[doc.Text]()
+    ranges = list[doc.Words]()
     # Lengths come first, since the answer begins with the height.
-    directions = sorted(workspace.intervals, key=lambda name: name in ANGLE_COORDINATES)
-    for number, direction in enumerate(directions):
-        interval = workspace.intervals[direction]
-        angle = direction in ANGLE_COORDINATES
-        scale, unit = (math.degrees(1.0), "deg") if angle else (1e3, "mm")
-        form = ".1f" if direction == "height" else "+.1f"
-        low, high = (
-            doc.number_cell(end, form, scale=scale) for end in (interval.low, interval.high)
-        )
-        limits = map(doc.diagnostic_text, workspace.limits[direction])
-        rows.append((text(direction), low, high, doc.Name(unit), *limits))
-        following = directions[number + 1 : number + 2]
-        is_last = not following or (following[0] in ANGLE_COORDINATES) != angle
-        values: dict[str, object] = {
-            **{"low": low.text, "high": high.text, "unit": unit, "last": is_last},
-            "ends": _format_rounded_range(scale * interval.low, scale * interval.high),
-        }
-        mirrored = high.text.startswith("+") and low.text == high.text.replace("+", "-")
-        key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
-        if mirrored:
-            values["high"] = high.text.removeprefix("+")
-        (angles if angle else lengths).append(text(key, direction=text(direction), **values))
-    groups = filter(None, (lengths, angles))
+    for angles in (False, True):
+        group = [name for name in workspace.intervals if (name in ANGLE_COORDINATES) == angles]
+        rows += [_make_row(workspace, direction) for direction in group]
+        if group:
+            texts = [
+                _describe_range(workspace, direction, is_last=direction == group[-1])
+                for direction in group
+            ]
+            ranges.append(join_words(texts))
     table = doc.Table(
         text("how-far-the-base"),
         (
@@ -180,7 +206,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         findings=(
-            text("range-in-short", ranges=join_words(map(join_words, groups), "semicolon")),
+            text("range-in-short", ranges=join_words(ranges, "semicolon")),
             *map(doc.diagnostic_text, filter(None, [workspace.mismatch])),
             text(
                 "workspace-limits",
