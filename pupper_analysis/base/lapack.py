@@ -88,6 +88,23 @@ def _combine_pairs(imaginary: Array, vectors: Array) -> ComplexArray:
     return combined
 
 
+def _decompose(matrix: Array, *, full_matrices: bool) -> tuple[Array, Array, Array]:
+    """Return left singular vectors (columns), singular values, and right singular vectors (rows).
+
+    ``matrix`` is not empty. With ``full_matrices``, both sets of vectors are complete bases.
+
+    Raises:
+        LinAlgError: If the decomposition does not converge.
+    """
+    work = _routines.dgesdd_lwork(*matrix.shape, compute_uv=True, full_matrices=full_matrices)[0]
+    along, singular, across, failed = _routines.dgesdd(
+        matrix, full_matrices=full_matrices, lwork=int(work)
+    )
+    if failed:
+        raise np.linalg.LinAlgError
+    return along, singular, across
+
+
 def null_space(matrix: Array, rcond: float | None = None) -> Array:
     """Return an orthonormal basis of the null space, as ``scipy.linalg.null_space``.
 
@@ -107,10 +124,7 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
     num_rows, num_columns = finite.shape
     if not finite.size:
         return np.eye(num_columns)
-    work = _routines.dgesdd_lwork(num_rows, num_columns, compute_uv=True, full_matrices=True)[0]
-    _, singular, across, failed = _routines.dgesdd(finite, full_matrices=True, lwork=int(work))
-    if failed:
-        raise np.linalg.LinAlgError
+    _, singular, across = _decompose(finite, full_matrices=True)
     fraction = np.finfo(float).eps * max(num_rows, num_columns) if rcond is None else rcond
     rank = int((singular > singular.max(initial=0.0) * fraction).sum())
     basis: Array = across[rank:].T
@@ -134,10 +148,7 @@ def orth(matrix: Array) -> Array:
     num_rows, num_columns = finite.shape
     if not finite.size:
         return np.empty((num_rows, 0))
-    work = _routines.dgesdd_lwork(num_rows, num_columns, compute_uv=True, full_matrices=False)[0]
-    along, singular, _, failed = _routines.dgesdd(finite, full_matrices=False, lwork=int(work))
-    if failed:
-        raise np.linalg.LinAlgError
+    along, singular, _ = _decompose(finite, full_matrices=False)
     least = singular.max(initial=0.0) * np.finfo(float).eps * max(num_rows, num_columns)
     basis: Array = along[:, : int((singular > least).sum())]
     return basis
