@@ -564,44 +564,61 @@ def _group_by_values(
         signs = (1 if first_fact.number >= 0 else -1) if quantity in _ANGLE_QUANTITIES else 1
         pair = (round(signs * first_fact.number, 9), round(signs * second_fact.number, 9))
         groups.setdefault(pair, []).append(joint)
+    for numbers, members in groups.items():
+        facts = differing[members[0]]
+        yield _compare_numbers(quantity, kind, facts, numbers, members, is_range_difference)
+
+
+def _compare_numbers(
+    quantity: str,
+    kind: QuantityKind,
+    facts: FactPair,
+    numbers: tuple[float, float],
+    members: list[str],
+    is_range_difference: bool,
+) -> Disagreement:
+    """Create the disagreement about a quantity of joints that all have the same two numbers.
+
+    ``facts`` belong to the first joint of ``members``. ``numbers`` are both values, rounded; if the
+    first angle is negative, both have the opposite sign. For ``is_range_difference`` see
+    `_group_by_values`.
+    """
+    (first_fact, second_fact), (a, b), head = facts, numbers, members[0]
     lower = -1 if quantity == "lower limit" else 1
-    for (a, b), members in groups.items():
-        head = members[0]
-        first_fact, second_fact = differing[head]
-        mistake, unit = _classify_mistake(quantity, a, b)
-        meant = is_range_difference and lower * a <= lower * b + 1e-6
-        near = quantity in _MOTOR_LIMITS and abs(b - a) <= _NEAR_LIMIT_RTOL * max(abs(a), abs(b))
-        what = Term(quantity) if quantity in QUANTITIES else quantity
-        names = (first_fact.source, second_fact.source)
-        short_names = [name.partition(":")[0] for name in names]
-        if short_names[0] == short_names[1]:  # two configurations in a file
-            short_names = list(names)
-        message = diagnose(
-            "contract-differs",
-            subject=("joint", head) if head else None,
-            what=what,
-            others=tuple(members[1:]),
-            more=len(members) - 1 or None,
-            one=Quantity(first_fact.number, kind.unit),
-            two=Quantity(second_fact.number, kind.unit),
-            shown=_format_first_number(first_fact.number, kind.unit),
-            first=first_fact.source,
-            second=second_fact.source,
-            joint=head or None,
-            short_first=short_names[0],
-            short_second=short_names[1],
-            sign=mistake == "sign" or None,
-            unit=unit or None,
-        )
-        yield _make_disagreement(
-            quantity,
-            message,
-            (first_fact, second_fact),
-            kind._replace(severity=None) if meant or near else kind,
-            joints=members,
-            mistake=mistake,
-            effects=_describe_effects(quantity, (first_fact.source, second_fact.source), a, b),
-        )
+    mistake, unit = _classify_mistake(quantity, a, b)
+    meant = is_range_difference and lower * a <= lower * b + 1e-6
+    near = quantity in _MOTOR_LIMITS and abs(b - a) <= _NEAR_LIMIT_RTOL * max(abs(a), abs(b))
+    what = Term(quantity) if quantity in QUANTITIES else quantity
+    names = (first_fact.source, second_fact.source)
+    short_names = [name.partition(":")[0] for name in names]
+    if short_names[0] == short_names[1]:  # two configurations in a file
+        short_names = list(names)
+    message = diagnose(
+        "contract-differs",
+        subject=("joint", head) if head else None,
+        what=what,
+        others=tuple(members[1:]),
+        more=len(members) - 1 or None,
+        one=Quantity(first_fact.number, kind.unit),
+        two=Quantity(second_fact.number, kind.unit),
+        shown=_format_first_number(first_fact.number, kind.unit),
+        first=first_fact.source,
+        second=second_fact.source,
+        joint=head or None,
+        short_first=short_names[0],
+        short_second=short_names[1],
+        sign=mistake == "sign" or None,
+        unit=unit or None,
+    )
+    return _make_disagreement(
+        quantity,
+        message,
+        (first_fact, second_fact),
+        kind._replace(severity=None) if meant or near else kind,
+        joints=members,
+        mistake=mistake,
+        effects=_describe_effects(quantity, (first_fact.source, second_fact.source), a, b),
+    )
 
 
 _NEAR_LIMIT_RTOL = 0.02
