@@ -381,12 +381,7 @@ def verify_stand(
     elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
-    notes = _describe_light_feet(record.lifted, shares)
-    if rest_cause is not None and result.nudge is not None:
-        notes.append(_describe_remaining_motion(rest_cause, result.nudge))
-    if not result.collapses:
-        notes += describe_refuted(result.stability)
-        notes += _describe_slip(result, reference.com_height)
+    notes = _list_notes(result, reference.com_height, record.lifted, shares, rest_cause)
     judged = replace(
         result,
         passed=not failures,
@@ -397,6 +392,27 @@ def verify_stand(
     )
     vars(judged)["_stand"] = simulated
     return judged
+
+
+def _list_notes(
+    result: StandVerification,
+    com_height: float,
+    lifted: Mapping[str, float],
+    shares: Mapping[str, float],
+    rest_cause: str | None,
+) -> list[Diagnostic]:
+    """List what is unusual in a simulation, but no failure: lifts, rest of motion, modes and slip.
+
+    ``rest_cause`` is the code of the harmless motion after the nudge, or None. For ``lifted`` and
+    ``shares`` see `_describe_light_feet`. ``com_height`` [m] is the initial height of the CoM.
+    """
+    notes = _describe_light_feet(lifted, shares)
+    if rest_cause is not None and result.nudge is not None:
+        notes.append(_describe_remaining_motion(rest_cause, result.nudge))
+    if not result.collapses:
+        notes += describe_refuted(result.stability)
+        notes += _describe_slip(result, com_height)
+    return notes
 
 
 def _evaluate_standing(
