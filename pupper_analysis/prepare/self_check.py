@@ -169,7 +169,7 @@ def compare_as_published(
     gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
     loaded = get_loaded_robot(robot)
     if not loaded.floating:
-        return _compare_in(loaded, stand, gains)
+        return _compare_stand(loaded, stand, gains)
     if robot.published.loaded is not None or robot.fixed_parts or not stand.task.ground.is_level:
         if gains is None:
             return loaded.compute_once(compare_nominal_stand)
@@ -178,7 +178,7 @@ def compare_as_published(
         return loaded.compute_once(
             compare_nominal_stand
         )  # not simulated again for a robot with payload
-    return _compare_in(robot, stand, gains)
+    return _compare_stand(robot, stand, gains)
 
 
 def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
@@ -212,14 +212,23 @@ def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | 
     ``gains`` None: those of the model. The result is None if no comparison is possible.
     """
     with contextlib.suppress(PupperAnalysisError):
-        return _compare_in(robot, solve_stand(robot, explain=False), gains)
+        return _compare_stand(robot, solve_stand(robot, explain=False), gains)
     return None
 
 
-def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
+def _compare_stand(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
     """Compare the published file with the predicted equilibrium of a stand, and find causes.
 
-    ``gains`` None: those of the model. The result is None if no comparison is possible.
+    If the base is free in the robot, but not in the file, the result contains this cause without a
+    simulation.
+
+    Args:
+        robot: Prepared robot.
+        stand: Stand whose equilibrium is predicted.
+        gains: Requested gains; None: gains of the model.
+
+    Returns:
+        Comparison; None, for example, if the robot has no feet, or the stand no equilibrium.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
@@ -253,7 +262,9 @@ def compare_with_file(
 ) -> Published:
     """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
 
-    If the file cannot be simulated, for example without level ground, the cause is listed.
+    If the file cannot be simulated, for example without level ground, the cause is listed. A
+    deviation without a cause does not count if the prepared robot moves like the file
+    (`_keep_moving_alike`).
 
     Args:
         published: Published model: the user's file as compiled.
@@ -279,7 +290,7 @@ def compare_with_file(
     if differing and not causes:
         prepared = _simulate_prepared_robot(robot, differing[0][0])
         causes = _find_loading_causes(published, robot, *differing[0], prepared)
-    if differing and not causes and _moves_alike(*differing[0], prepared):
+    if differing and not causes and _keep_moving_alike(*differing[0], prepared):
         shared = differing[0][1]
         runs = tuple(replace(run, differs=run.differs and run is not shared) for run in runs)
     return Published(runs, causes, differs=any(run.differs for run in runs))
@@ -291,12 +302,13 @@ def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> Publish
     return simulate_prediction(model, robot, prediction)
 
 
-def _moves_alike(
+def _keep_moving_alike(
     prediction: PredictedRest, run: PublishedRun, prepared: PublishedRun | None
 ) -> bool:
-    """Return True if published file and prepared robot fail alike without feed-forward.
+    """Return True if published file and prepared robot keep moving alike, without feed-forward.
 
-    The file is then no cause.
+    The file is then no cause: the robot itself does not come to rest. ``run`` is the simulation of
+    the file, ``prepared`` that of the prepared robot. A collapse is not shared motion.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
@@ -579,7 +591,7 @@ def _compare_end_state(
         collapses=collapses,
         differs=collapses or not (alike and torque <= TORQUE_RTOL),
         imported=robot.published is not None and robot.published.imported is not None,
-        worst_joint=_worst_joint(robot, moved, torque_deviations, collapses=collapses),
+        worst_joint=_find_worst_joint(robot, moved, torque_deviations, collapses=collapses),
         joint_error_unit=find_worst_unit(robot, moved),
         _keeps_moving=torques.compute_relative_range(end.low, end.high) > TORQUE_RTOL,
         _is_lifted=lifted,
@@ -604,6 +616,10 @@ def _simulate_until_compared(
     may_end_early: bool,
 ) -> tuple[Array, Array, float]:
     """Simulate a published model before and after a nudge, until its torques can be compared.
+
+    After the nudge, at least `NUDGED_TIME` is simulated, and at most `_MAX_NUDGED_TIME` while the
+    torques approach the prediction. With ``may_end_early``, the simulation ends after
+    `_APPROACH_INTERVAL` if a large deviation lasts (`_is_lasting`).
 
     ``data`` is changed to the final state. ``find_deviation`` converts minimum and maximum forces,
     shape (model.nv,) each [N m, N], to the torque deviation divided by the torque scale [1].
@@ -671,7 +687,7 @@ def _is_lasting(earlier: float, deviation: float) -> bool:
     return deviation > max(_MIN_LASTING_RATIO * TORQUE_RTOL, ratio * earlier)
 
 
-def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
+def _find_worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: bool) -> str:
     """Return the joint that deviates most from the predicted equilibrium.
 
     If the robot collapses, the displacements ``moved``, shape (nu,) [rad, m], decide; otherwise
@@ -691,11 +707,11 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
     Returns:
         Simulation with the causes that were found; None, for example, for a fixed base.
     """
-    return get_loaded_robot(robot).compute_once(_own_run_explained)
+    return get_loaded_robot(robot).compute_once(_explain_own_run)
 
 
-def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Simulate the unmodified file from its keyframe (`own_run`); add the causes of a failure."""
+def _explain_own_run(robot: Robot) -> OwnRun | None:
+    """Simulate the unmodified file from its keyframe (`explain_own_run`, uncached)."""
     run = own_run(robot)
     model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:
@@ -751,8 +767,8 @@ def name_remaining_cause(
 
     Args:
         robot: Prepared robot.
-        own: Simulation from the keyframe; None if there is none.
-        published: Simulations from the equilibrium; None if there are none.
+        own: Simulation from the keyframe, without causes; None if there is none.
+        published: Simulations from the equilibrium, without causes; None if there are none.
 
     Returns:
         ``own`` and ``published``; a cause is added to one of them at most.
@@ -760,7 +776,8 @@ def name_remaining_cause(
     balls = list_ball_joints(robot)
     if own is not None and own.fails:
         return replace(
-            own, causes=balls or robot.compute_once(_test_soft_servos) or _name_probable_cause(own)
+            own,
+            causes=balls or robot.compute_once(_find_soft_servo_cause) or _name_probable_cause(own),
         ), published
     run = None if published is None else published.worst
     if published is None or run is None or run.agrees_with_equilibrium:
@@ -847,7 +864,7 @@ def report_posture_ties(robot: Robot, joints: Array) -> tuple[Diagnostic, ...]:
     return (replace(message, severity=Severity.ERROR) if leaves else message,)
 
 
-def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
+def _find_soft_servo_cause(robot: Robot) -> tuple[Cause, ...]:
     """Return too soft servos as cause if the file stands with stiffer servos; empty otherwise."""
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
@@ -902,7 +919,7 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
                 return None
         return 0.0
 
-    return _test_causes(published, candidates, physical, test_model)
+    return _find_causes_by_removal(published, candidates, physical, test_model)
 
 
 def find_difference_causes(
@@ -910,7 +927,8 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    Elements are switched off in copies of the model, which are simulated again (`_test_causes`).
+    Elements are switched off in copies of the model, which are simulated again
+    (`_find_causes_by_removal`).
 
     Returns:
         Causes; empty if no cause is found.
@@ -936,10 +954,10 @@ def find_difference_causes(
         list_difference_causes(published, robot),
         list_shared_causes(published, robot),
     )
-    return _test_causes(published, candidates, physical, test_model)
+    return _find_causes_by_removal(published, candidates, physical, test_model)
 
 
-def _test_causes(
+def _find_causes_by_removal(
     published: PublishedModel,
     candidates: list[CauseCandidate],
     physical: list[CauseCandidate],
@@ -947,8 +965,9 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a failed simulation, by switching off candidates in copies of the model.
 
-    With the causes switched off, the model passes the test. With all candidates of a tested group
-    switched off except one cause, it fails.
+    Four groups are tested: numerical options, other candidates, all ``candidates``, and these with
+    ``physical``. The causes belong to the first group with causes. With the causes switched off,
+    the model passes the test. With all of the group switched off except one cause, it fails.
 
     Args:
         published: Published model: the user's file as compiled.

@@ -293,12 +293,12 @@ def test_a_deviation_that_the_prepared_robot_shares_is_no_difference_of_the_file
     assert run.keeps_moving
     assert not run.collapses
     prepared = self_check._simulate_prepared_robot(moving, alone)
-    assert self_check._moves_alike(alone, run, prepared)
-    assert not self_check._moves_alike(fed, run, prepared)
-    assert not self_check._moves_alike(alone, run, None)
+    assert self_check._keep_moving_alike(alone, run, prepared)
+    assert not self_check._keep_moving_alike(fed, run, prepared)
+    assert not self_check._keep_moving_alike(alone, run, None)
     resting = self_check._simulate_prepared_robot(robot, alone)
     assert resting is not None
-    assert not self_check._moves_alike(alone, run, resting)
+    assert not self_check._keep_moving_alike(alone, run, resting)
     assert not self_check.compare_with_file(published, moving, [alone]).differs
     assert self_check.compare_with_file(published, robot, [alone]).differs
 
