@@ -104,7 +104,7 @@ class ContactKinematics:
             of the sphere does not count as slip.
         jacobians: Jacobians of the material point at each contact, shape (n, 3, nv), in the contact
             frame.
-        turning: Rotational Jacobians of the feet, shape (n, 3, nv), in the world frame.
+        rotation_jacobians: Rotational Jacobians of the feet, shape (n, 3, nv), in the world frame.
     """
 
     def __init__(
@@ -124,8 +124,8 @@ class ContactKinematics:
         self._reach = (np.array([radius[foot] for foot in feet]) - deep / 2)[:, None]
         self._offsets = self._reach[:, None] * crosses  # arms from the contact to the centre
         self._twists = config.foot_twist_jacobians(feet)
-        self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
-        self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
+        self._centre, self.rotation_jacobians = self._twists[:, :3], self._twists[:, 3:]
+        self.jacobians = frames @ (self._centre + self._offsets @ self.rotation_jacobians)
         before = np.array([anchor.rotation for anchor in held]).reshape(-1, 3, 3)
         rotations = self._rotations_since = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
         turns = np.array([pin.log3(rotation) for rotation in rotations])
@@ -144,7 +144,7 @@ class ContactKinematics:
         deeper = self._depth_rates
         # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.
         logs = np.array([pin.Jlog3(turned) for turned in self._rotations_since]).reshape(-1, 3, 3)
-        turns = logs.transpose(0, 2, 1) @ self.turning
+        turns = logs.transpose(0, 2, 1) @ self.rotation_jacobians
         rates: Array = self._centre + self._offsets @ turns
         # The lever arm shortens by half of the change in penetration.
         rates -= self._normal_cross_turn / 2 * deeper[:, None, :]
@@ -191,7 +191,7 @@ class ContactKinematics:
             )
         rates = self.config.loaded_points_derivative(twists, wrenches)
         # The contact approaches the centre as the penetration increases.
-        moved = (across[:, None] @ self.turning)[:, 0]
+        moved = (across[:, None] @ self.rotation_jacobians)[:, 0]
         change: Array = rates + moved.T @ (self._depth_rates / 2)
         return change
 
@@ -225,12 +225,13 @@ class EquilibriumScales:
         length: Height [m] of the CoM above the lowest sphere centre of a stance foot. For a robot
             with a fixed base, a weld or a grip, it is the stand height. If the stand height is
             zero, it is the extent of the model.
-        moves: Number of coordinates that translate the base: 3, or 0 for a fixed base.
+        num_base_translations: Number of coordinates that translate the base: 3, or 0 for a fixed
+            base.
     """
 
     weight: float
     length: float
-    moves: int = 3
+    num_base_translations: int = 3
 
     @staticmethod
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
@@ -274,13 +275,19 @@ class EquilibriumScales:
             forces: Indices of the contacts whose two slip equations have the unit N instead of m.
         """
         units = np.full(len(residual), self.length)
-        units[: self.moves], units[self.moves : nv] = self.weight, self.weight * self.length
+        units[: self.num_base_translations], units[self.num_base_translations : nv] = (
+            self.weight,
+            self.weight * self.length,
+        )
         units[nv:].reshape(-1, 3)[forces, :2] = self.weight
         return float(np.abs(residual / units).max())
 
-    def is_too_far(self, step: Array) -> bool:
+    def is_step_too_long(self, step: Array) -> bool:
         """Return True if a Newton step, shape (nv,) [m, rad], is too long or not finite."""
-        moved, turned = np.abs(step[: self.moves]), np.abs(step[self.moves :]).max()
+        moved, turned = (
+            np.abs(step[: self.num_base_translations]),
+            np.abs(step[self.num_base_translations :]).max(),
+        )
         return not (
             turned < _MAX_STEP_ANGLE and moved.max(initial=0.0) < _MAX_STEP_LENGTH * self.length
         )
@@ -350,8 +357,9 @@ class SagEquilibrium:
         target: Joint positions that the servos are commanded to, shape (nu,) [rad, m], set by
             `set_command`.
         has_creep: Whether friction creeps in MuJoCo: its no-slip solver is inactive.
-        crept: {contact: slip [m] at the start of the creep step, shape (2,)}.
-        yielding: {contact: compliance [m/N] of the creep step}.
+        creep_start_slips: {contact: slip [m] at the start of the creep step, shape (2,)}.
+        creep_compliances: {contact: slip per tangential force [m/N] in the creep step}.
+        scales: Weight and height, by which residuals and steps are divided.
     """
 
     def __init__(
@@ -385,9 +393,9 @@ class SagEquilibrium:
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(frames[foot]))
             for foot in stand.stance_feet
         }
-        self.units = EquilibriumScales.from_stand(robot, stand)
+        self.scales = EquilibriumScales.from_stand(robot, stand)
         self._force_rows: slice | list[int] = []
-        self._sole_compliance, self._compliance = contact_compliance(robot, self.units)
+        self._sole_compliance, self._compliance = contact_compliance(robot, self.scales)
         self._is_compliant, self._compliance_factor = any(self._compliance.values()), 1.0
         self._contact_cache: tuple[object, Array, ContactKinematics] | None = None
         self._sole_projection_cache: tuple[tuple[str, ...], Array | None] = (), None
@@ -396,8 +404,8 @@ class SagEquilibrium:
         self._ground_frame_cache = (), [], no_frames, no_frames
         self._depth_cache: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.has_creep = robot.mj_model.opt.noslip_iterations == 0
-        self.crept: dict[str, Array] = {}
-        self.yielding: dict[str, float] = {}
+        self.creep_start_slips: dict[str, Array] = {}
+        self.creep_compliances: dict[str, float] = {}
         self.sliding_friction = {
             foot: contact.sliding_friction for foot, contact in robot.contacts.items()
         }
@@ -474,7 +482,8 @@ class SagEquilibrium:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
         A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        slips are corrected for creep, soles and compliance.
+        it is the quantity s of the slip law: the displacement since the start of the creep step,
+        projected onto rigid motions of the soles, plus compliance times tangential force.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -484,8 +493,12 @@ class SagEquilibrium:
             Shape (n, 3) [m].
         """
         places: Array = self.contacts_at(qpos).places.copy()
-        if self.feet == "pinned" and (self.crept or self.yielding or self._is_compliant):
-            begun = np.array([self.crept.get(foot, _ZERO_SLIP) for foot in self.anchors])
+        if self.feet == "pinned" and (
+            self.creep_start_slips or self.creep_compliances or self._is_compliant
+        ):
+            begun = np.array(
+                [self.creep_start_slips.get(foot, _ZERO_SLIP) for foot in self.anchors]
+            )
             places[:, :2] = self.project_soles(places[:, :2] - begun.reshape(-1, 2))
             places[:, :2] += self._slip_compliances()[:, None] * forces[:, :2]
         return places
@@ -500,7 +513,10 @@ class SagEquilibrium:
         """
         feet = tuple(self.anchors)
         if self._sole_projection_cache[0] != feet:
-            self._sole_projection_cache = feet, rigid_slips(self.anchors, self._sole, self.frames)
+            self._sole_projection_cache = (
+                feet,
+                compute_sole_projection(self.anchors, self._sole, self.frames),
+            )
         whole = self._sole_projection_cache[1]
         return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
 
@@ -520,21 +536,21 @@ class SagEquilibrium:
         if self.robot.closure is not None:
             balance[self._joints] -= self.robot.closure.constraint_torques(qpos)
         if self.feet == "sliding":
-            places[:, :2] = forces[:, :2] + self.units.slip_stiffness * places[:, :2]
+            places[:, :2] = forces[:, :2] + self.scales.slip_stiffness * places[:, :2]
         slipping = self.find_slipping_contacts(forces, places)
         self._force_rows = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
         is_frictionless = self._is_frictionless()
         for row, mu, augmented in slipping:
             if is_frictionless[row]:
-                places[row, :2] = forces[row, :2] + self.units.slip_stiffness * places[row, :2]
+                places[row, :2] = forces[row, :2] + self.scales.slip_stiffness * places[row, :2]
                 continue
             friction = mu * forces[row, 2] * augmented / np.linalg.norm(augmented)
             places[row, :2] = forces[row, :2] - friction
         sole, depths = self.is_sole_point(), places[:, 2].copy()
         places[:, 2] -= self.equilibrium_depths(forces)
         if sole.any():
-            away = self._normal_forces(depths)[:, 0] - forces[:, 2]
-            places[sole, 2] = (away / self._force_scales())[sole]
+            away = self._evaluate_ground_laws(depths)[:, 0] - forces[:, 2]
+            places[sole, 2] = (away / self._compute_initial_stiffness())[sole]
         return np.concatenate([balance, places.ravel()])
 
     def _is_frictionless(self) -> NDArray[np.bool_]:
@@ -545,8 +561,8 @@ class SagEquilibrium:
         """Return a mask (n,) of the touching contacts that belong to a foot with several points."""
         return np.array([self._sole_compliance[point] > 0 for point in self.anchors], dtype=bool)
 
-    def _normal_forces(self, depths: Array) -> Array:
-        """Return normal force [N] and stiffness [N/m] of the touching contacts, shape (n, 2).
+    def _evaluate_ground_laws(self, depths: Array) -> Array:
+        """Return normal force [N] and normal stiffness [N/m] of the touching contacts, (n, 2).
 
         ``depths`` are the penetrations, shape (n,) [m].
         """
@@ -560,7 +576,7 @@ class SagEquilibrium:
             ]
         ).reshape(-1, 2)
 
-    def _force_scales(self) -> Array:
+    def _compute_initial_stiffness(self) -> Array:
         """Return the normal stiffness (n,) [N/m] of each touching contact at first contact."""
         return np.array(
             [self.laws[point].normal_stiffness(-self.laws[point].margin) for point in self.anchors]
@@ -592,7 +608,7 @@ class SagEquilibrium:
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":
-            rates[:, :2] *= self.units.slip_stiffness
+            rates[:, :2] *= self.scales.slip_stiffness
         else:
             rates[:, :2] = self.project_soles(rates[:, :2])
         diagonal = np.zeros((size, 3))
@@ -604,7 +620,10 @@ class SagEquilibrium:
             )
         ]
         if (sole := self.is_sole_point()).any():
-            harder, scales = self._normal_forces(touch.places[:, 2])[:, 1], self._force_scales()
+            harder, scales = (
+                self._evaluate_ground_laws(touch.places[:, 2])[:, 1],
+                self._compute_initial_stiffness(),
+            )
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
@@ -612,15 +631,15 @@ class SagEquilibrium:
         for row, mu, augmented in self.find_slipping_contacts(forces, self.slips(qpos, forces)):
             tangents = slice(3 * row, 3 * row + 2)
             if is_frictionless[row]:
-                rates[row, :2] *= self.units.slip_stiffness
-                compliance = 1 + self.units.slip_stiffness * diagonal[row, 0]
+                rates[row, :2] *= self.scales.slip_stiffness
+                compliance = 1 + self.scales.slip_stiffness * diagonal[row, 0]
                 by_force[tangents, tangents] = compliance * np.eye(2)
                 continue
             length = float(np.linalg.norm(augmented))
             along = augmented / length
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
-            rates[row, :2] = self.units.friction_penalty * turn @ rates[row, :2]
-            kept = 1 - self.units.friction_penalty * diagonal[row, 0]
+            rates[row, :2] = self.scales.friction_penalty * turn @ rates[row, :2]
+            kept = 1 - self.scales.friction_penalty * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
         return whole
@@ -629,7 +648,8 @@ class SagEquilibrium:
         """Return slip per tangential force of the n touching contacts, shape (n,) [m/N]."""
         return np.array(
             [
-                self.yielding.get(foot, 0.0) + self._compliance_factor * self._compliance[foot]
+                self.creep_compliances.get(foot, 0.0)
+                + self._compliance_factor * self._compliance[foot]
                 for foot in self.anchors
             ]
         )
@@ -657,8 +677,8 @@ class SagEquilibrium:
         for row, (foot, force, place) in enumerate(rows):
             (x, y, pressing), (slip_x, slip_y, _) = force, place
             augmented = (
-                x - self.units.friction_penalty * slip_x,
-                y - self.units.friction_penalty * slip_y,
+                x - self.scales.friction_penalty * slip_x,
+                y - self.scales.friction_penalty * slip_y,
             )
             # No friction under pull: the solution is continuous if the contact is released.
             mu = self.sliding_friction[foot] if pressing > 0 else 0.0
@@ -676,7 +696,8 @@ class SagEquilibrium:
                 residual may then be larger, but within `RESIDUAL_TOLERANCE`.
 
         Returns:
-            The solution; None if Newton's method fails.
+            The solution; None if Newton's method fails. With soles and pinned feet, it has then
+            also failed with a larger compliance of the contact points.
         """
         found = self._iterate_newton(guess, _ROUNDING_RESIDUAL if exact else RESIDUAL_TOLERANCE / 4)
         if found is None and self.is_sole_point().any() and self.feet == "pinned":
@@ -703,28 +724,31 @@ class SagEquilibrium:
         """Return the contact forces of a solution, shape (n, 3) [N], in contact frames."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
-    def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
+    def _iterate_newton(
+        self, guess: Solution, max_predicted: float = _ROUNDING_RESIDUAL
+    ) -> Solution | None:
         """Iterate Newton's method to a scaled residual below `RESIDUAL_TOLERANCE`; None on failure.
 
-        The previous Jacobian is reused if the predicted residual e[k]^2 / e[k-1] is at most
-        ``left``.
+        Newton's method fails if residuals alternate, the Jacobian is singular, a step is too long,
+        or after `_MAX_ITERATIONS`. The previous Jacobian is reused if the predicted residual
+        e[k]^2 / e[k-1] is at most ``max_predicted``.
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
         residuals: list[float] = []  # scaled residual of each iteration
         for _ in range(_MAX_ITERATIONS):
             residual = self.apply_welds(qpos, self.residual(qpos, forces))
-            residuals.append(self.units.max_residual(residual, n, self._force_rows))
+            residuals.append(self.scales.max_residual(residual, n, self._force_rows))
             if residuals[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, float(np.abs(residual).max()))
             if _alternates(residuals):
                 return None
-            if derivative is None or residuals[-1] ** 2 > left * residuals[-2]:
+            if derivative is None or residuals[-1] ** 2 > max_predicted * residuals[-2]:
                 derivative = self.apply_welds(qpos, self.derivative(qpos, forces))
             # Otherwise the previous derivative suffices: its relative error is e[k] / e[k-1].
             *_, step, singular = lapack.dgesv(derivative, -residual)
-            if singular or self.units.is_too_far(step[:n]):
+            if singular or self.scales.is_step_too_long(step[:n]):
                 return None
             qpos, forces = integrate_step(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
@@ -740,7 +764,7 @@ class SagEquilibrium:
                 equations; not modified.
         """
         if self._welds is not None:
-            return self._welds.insert(self.contacts_at(qpos).config, equations, self.units.weight)
+            return self._welds.insert(self.contacts_at(qpos).config, equations, self.scales.weight)
         if self._num_welded_rows:
             equations = equations.copy()
             equations[: self._num_welded_rows] = 0.0
@@ -774,13 +798,13 @@ class SagEquilibrium:
         """Return how far a solution contradicts a point's assumed state (touching or not).
 
         A positive result is a contradiction: the pull of the ground [N] on a touching point, or the
-        penetration of another point plus the contact margin, minus the tolerance [m].
+        penetration of another point plus the contact margin, minus the tolerance [m]. 0 for a
+        touching point of a sole, whose depth equation permits no pull.
         """
         if foot in self.anchors:
-            # The depth equation of a sole point has no pull.
             return 0.0 if self._sole_compliance[foot] else -float(solution.forces[foot][2])
         depth = self.contacts_at(solution.qpos).depths[foot]
-        return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.units.length
+        return depth + self.laws[foot].margin - CONTACT_DEPTH_TOLERANCE * self.scales.length
 
     def switch_contact(self, foot: str, solution: Solution) -> Solution:
         """Release a touching contact point, or add a free point to the touching contacts.
@@ -798,7 +822,7 @@ class SagEquilibrium:
             law = self.laws[foot]
             pressed = law.force(max(-law.margin, touch.depths[foot]))
             forces[foot] = np.array([0.0, 0.0, pressed])
-        for kept in (self.crept, self.yielding):
+        for kept in (self.creep_start_slips, self.creep_compliances):
             kept.pop(foot, None)
         return Solution(solution.qpos, forces, solution.residual)
 
@@ -812,8 +836,8 @@ class SagEquilibrium:
             seconds: Duration of the step [s].
         """
         places = self.contacts_at(solution.qpos).places
-        self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
-        self.yielding = {
+        self.creep_start_slips = dict(zip(self.anchors, places[:, :2], strict=True))
+        self.creep_compliances = {
             foot: seconds / self.viscosity(foot, depth)
             for foot, depth in zip(self.anchors, places[:, 2], strict=True)
         }
@@ -975,8 +999,9 @@ def contact_compliance(
         units: Weight and height of the robot.
 
     Returns:
-        {contact point: compliance [m/N]}, positive for the points of soles (feet with several
-        points); {contact point: compliance [m/N]} for the slip equations.
+        {contact point: compliance [m/N]}, positive only for the points of soles (feet with several
+        points); {contact point: compliance [m/N]} for the slip equations: the same values, but
+        positive for all points if the legs cannot move the CoM (`can_move_com`).
     """
     compliance = _TANGENTIAL_COMPLIANCE_RATIO * units.length / units.weight
     flat: dict[str, float] = {}
@@ -985,7 +1010,7 @@ def contact_compliance(
     return flat, flat if can_move_com(robot) else dict.fromkeys(robot.contact_points, compliance)
 
 
-def rigid_slips(
+def compute_sole_projection(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
     """Compute the matrix that projects slips of contact points onto rigid motions of the soles.

@@ -104,7 +104,7 @@ def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
     Returns:
         Slips, shape (n, 2) [m], along the two ground tangents of each contact.
     """
-    begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
+    begun = np.array([system.creep_start_slips.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.contacts_at(solution.qpos).places[:, :2]
     return system.project_soles(places - begun.reshape(-1, 2))
 
@@ -241,7 +241,7 @@ class HomotopyPath:
         balance: Static equilibrium of the stand.
         share: Removed fraction of the feed-forward, 0 to 1.
         solution: Current equilibrium.
-        crept: Creep time so far [s].
+        creep_time: Simulated creep so far [s].
 
     Raises:
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -257,7 +257,7 @@ class HomotopyPath:
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
-        self.share, self._events, self.crept = 0.0, 0, 0.0
+        self.share, self._events, self.creep_time = 0.0, 0, 0.0
         self._euler_step = math.inf
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.equilibrium_depths(np.array(list(forces.values())).reshape(-1, 3))
@@ -336,20 +336,24 @@ class HomotopyPath:
         while left > 0:
             step = min(self._euler_step, left)
             system, solution = self.system, self.solution
-            before = dict(system.anchors), dict(system.crept), dict(system.yielding)
+            before = (
+                dict(system.anchors),
+                dict(system.creep_start_slips),
+                dict(system.creep_compliances),
+            )
             system.begin_creep(solution, step)
             try:
                 self.solution = self._solve_contacts(
-                    self.solution, diagnose("after-creep", time=self.crept)
+                    self.solution, diagnose("after-creep", time=self.creep_time)
                 )
             except NoEquilibriumError:
                 self.solution = solution
-                system.anchors, system.crept, system.yielding = before
+                system.anchors, system.creep_start_slips, system.creep_compliances = before
                 self._euler_step = step / 4
                 if self._euler_step < _MIN_EULER_STEP * seconds:
                     raise
                 continue
-            self.crept += step
+            self.creep_time += step
             left -= step
             self._euler_step = 2 * step
 
@@ -360,8 +364,8 @@ class HomotopyPath:
             anchors: {touching contact: pose at the first contact}.
         """
         system = self.system
-        system.anchors, system.crept, system.yielding = dict(anchors), {}, {}
-        self.crept, self._euler_step, self._events = 0.0, math.inf, 0
+        system.anchors, system.creep_start_slips, system.creep_compliances = dict(anchors), {}, {}
+        self.creep_time, self._euler_step, self._events = 0.0, math.inf, 0
 
     def remove_feedforward(self) -> None:
         """Remove all feed-forward from the servo commands, without solving for an equilibrium."""
@@ -624,7 +628,7 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
         <= MAX_CREEP_LOSS_RATIO * path.system.stand.qpos[2]
     ):
         return math.inf
-    begun = path.crept
+    begun = path.creep_time
     with contextlib.suppress(NoEquilibriumError):
         for _ in range(CREEP_STEPS):
             path.creep_step(HOLD_DURATION / CREEP_STEPS)
@@ -632,7 +636,7 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
                 break
         else:
             return math.inf
-    return path.crept - begun
+    return path.creep_time - begun
 
 
 MAX_CREEP_DURATION = 1e9

@@ -14,8 +14,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.sag.equilibrium import (
     Anchor,
     SagEquilibrium,
+    compute_sole_projection,
     integrate_step,
-    rigid_slips,
 )
 from tests.support.variants import NAMES, load, stand_of
 
@@ -90,7 +90,7 @@ def test_two_points_of_a_sole_cannot_part() -> None:
     places = {"a/1": (0.1, 0.0, 0.0), "a/2": (-0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
     soles = {"a/1": "a", "a/2": "a", "b": "b"}
-    projection = rigid_slips(anchors, soles, dict.fromkeys(places, np.eye(3)))
+    projection = compute_sole_projection(anchors, soles, dict.fromkeys(places, np.eye(3)))
     assert projection is not None
     for slips, left in (
         ([(1, 0), (-1, 0), (2, 3)], [(0, 0), (0, 0), (2, 3)]),
@@ -103,4 +103,4 @@ def test_two_points_of_a_sole_cannot_part() -> None:
 def test_points_of_different_feet_slip_freely() -> None:
     places = {"a": (0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
-    assert rigid_slips(anchors, {name: name for name in places}, {}) is None
+    assert compute_sole_projection(anchors, {name: name for name in places}, {}) is None
