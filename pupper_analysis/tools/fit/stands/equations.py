@@ -158,7 +158,7 @@ tuned.
 _MIN_READING_INFORMATION = 1e-4
 """Lower bound of the information (1 / variance) that all other readings provide about the error of
 a joint reading, relative to 1 / (encoder noise)^2. The bound prevents a division by zero in
-`StandRows.find_contradictions`. Chosen, not tuned.
+`StandRows.estimate_position_errors`. Chosen, not tuned.
 """
 
 
@@ -332,7 +332,7 @@ class StandRows:
         whitened = np.linalg.solve(self._elimination.factor, residual)
         return float(whitened @ whitened)
 
-    def solve_own_unknowns(self) -> tuple[float, Array]:
+    def compute_unknowns_step(self) -> tuple[float, Array]:
         """Compute a Gauss-Newton step of base tilt, base height and contact forces.
 
         Returns:
@@ -389,7 +389,7 @@ class StandRows:
         log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(singular_values).sum())
         return _Elimination(factor, left_vectors, singular_values, right_vectors[:rank], log_noise)
 
-    def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
+    def estimate_position_errors(self, covariance: Array) -> tuple[Array, Array]:
         """Estimate the error (measured minus true) of each joint position in this stand.
 
         The error of a position is estimated from the other readings:
@@ -448,7 +448,8 @@ class StandRows:
 
         with the torques tau of servos and one-sided friction (S maps them to generalised forces),
         gravity forces g, passive joint forces, Jacobians J_p and wrenches w_p of the contacts, and
-        the vertical load on the base that the scale did not show.
+        the vertical load on the base that the scale did not show. The equations are scaled
+        (`_scale_balance`).
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
@@ -482,10 +483,10 @@ class StandRows:
         for link in self._reading.added:
             residual[6:] += values.settling[link] * values.friction * self._signs
         by_noise[:, nu:-6] = angular.reshape(-1, nv).T
-        feet = self._compute_last_motions()
+        feet = self._compute_foot_rotation_rates()
         normal_forces = np.maximum(forces[:, 2], 0.0)
         by_noise[:, -6:] = np.einsum("p,pij,pik->jk", normal_forces, angular, feet)
-        self._scale_to_positions(residual, by_own, by_noise)
+        self._scale_balance(residual, by_own, by_noise)
 
     def _add_balance_derivatives(self, by_x: Array) -> None:
         """Add the derivatives of the static balance by the parameters, ``by_x``, shape (nv, n)."""
@@ -505,13 +506,14 @@ class StandRows:
         by_deadband = -(values.kp * self._by_deadband)[:, None]
         self._add_derivatives(by_x[6:], by_deadband, "deadband", ["servos"])
         self._add_gravity_derivatives(by_x)
-        self._scale_derivatives(by_x)
+        self._scale_balance_derivatives(by_x)
 
-    def _compute_last_motions(self) -> Array:
-        """Compute relative rotation rates [1] of p contact points in base motions, shape (p, 3, 6).
+    def _compute_foot_rotation_rates(self) -> Array:
+        """Compute relative rotation rates [1] of the feet in base motions, shape (p, 3, 6).
 
-        The rates of each of the six motions are divided by the largest. Friction on a foot at rest
-        acts against the last motion before rest, a combination of the six motions.
+        In each of the six base motions, the joints keep the p contact points in place as well as
+        possible. The rates of a motion are divided by the largest. Friction on a foot at rest acts
+        against the last motion before rest, a combination of the six motions.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -539,12 +541,14 @@ class StandRows:
             self._add_derivatives(
                 by_x, -load.stated * by_mass[:, number, None], "added", [load.link]
             )
-            self._add_derivatives(by_x, -by_com[:, number] @ load.turn, "place", [load.link], AXES)
+            self._add_derivatives(
+                by_x, -by_com[:, number] @ load.rotation, "place", [load.link], AXES
+            )
         self._add_derivatives(by_x, -by_slope, "slope", ["floor"], "xy")
         by_load = np.full((1, 1), -values.mass * values.gravity_norm)
         self._add_derivatives(by_x[2:3], by_load, "load", ["scale"])
 
-    def _scale_to_positions(self, residual: Array, by_own: Array, by_noise: Array) -> None:
+    def _scale_balance(self, residual: Array, by_own: Array, by_noise: Array) -> None:
         """Scale the balance equations in place, so that small kp and mass have no advantage.
 
         The factors are (noise kp) / kp for joints, and (noise mass) / mass for the base. Without
@@ -562,8 +566,8 @@ class StandRows:
             rows *= self._factors
         self.residual[:nv] = residual * self._factors
 
-    def _scale_derivatives(self, by_x: Array) -> None:
-        """Scale the derivatives of the balance, shape (nv, n), as `_scale_to_positions`, in place.
+    def _scale_balance_derivatives(self, by_x: Array) -> None:
+        """Scale the derivatives of the balance, shape (nv, n), as in `_scale_balance`, in place.
 
         The derivatives of the factors by kp and masses are added.
         """
@@ -614,19 +618,19 @@ class KnownMass:
 
     Attributes:
         link: Name of the link.
-        number: Index of the joint that moves the link, in the model of the robot's ``structure``.
+        joint: Index of the joint that moves the link, in the model of the robot's ``structure``.
         stated: Stated mass [kg].
         mass: Estimated mass [kg].
-        place: Estimated position in the joint frame, shape (3,) [m].
-        turn: Rotation matrix from the link frame to the joint frame, shape (3, 3).
+        position: Estimated position in the joint frame, shape (3,) [m].
+        rotation: Rotation matrix from the link frame to the joint frame, shape (3, 3).
     """
 
     link: str
-    number: int
+    joint: int
     stated: float
     mass: float
-    place: Array
-    turn: Array
+    position: Array
+    rotation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -817,7 +821,7 @@ class GravityRegressor:
     def _stack_bodies(self, values: StandValues) -> tuple[IntArray, Array, Array]:
         """Return joint indices, masses [kg] and CoMs [m] of the bodies, then of known masses."""
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
-        bodies += [(load.number, load.mass, load.place) for load in values.loads]
+        bodies += [(load.joint, load.mass, load.position) for load in values.loads]
         joints, mass, com = (np.array(column) for column in zip(*bodies, strict=True))
         return joints, mass, com
 
@@ -977,10 +981,10 @@ class StandEquations:
             values: Values of the robot for a parameter vector.
         """
         values = values.for_reading(self._readings[stand], self.table)
-        rows, previous_chi2, fraction = self._evaluate_rows(stand, values), math.inf, 1.0
+        rows, previous_chi2, fraction = self._make_rows(stand, values), math.inf, 1.0
         for _ in range(_MAX_UNKNOWN_STEPS):
             last_rows = rows
-            chi2, step = rows.solve_own_unknowns()
+            chi2, step = rows.compute_unknowns_step()
             change = abs(chi2 - previous_chi2)
             previous_chi2, start = chi2, self._unknowns[stand]
             if fraction == 1.0 and change <= _UNKNOWN_CHI2_TOLERANCE:
@@ -991,7 +995,7 @@ class StandEquations:
                 fraction = 0.5**halvings
                 self._unknowns[stand] = start
                 self._apply_step(stand, fraction * step)
-                trial = self._evaluate_rows(stand, values)
+                trial = self._make_rows(stand, values)
                 required = _MIN_DECREASE_RATIO * fraction * (2 - fraction) * (cost - previous_chi2)
                 decrease = cost - rows.compute_cost(trial.residual)
                 if decrease >= required - _UNKNOWN_CHI2_TOLERANCE - _COST_RTOL * cost:
@@ -1009,10 +1013,10 @@ class StandEquations:
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
         """Evaluate the residuals of a stand, at the stored base pose and contact forces."""
-        return self._evaluate_rows(stand, values.for_reading(self._readings[stand], self.table))
+        return self._make_rows(stand, values.for_reading(self._readings[stand], self.table))
 
-    def _evaluate_rows(self, stand: int, values: StandValues) -> StandRows:
-        """Evaluate the residuals of a stand with values that are adapted to this stand."""
+    def _make_rows(self, stand: int, values: StandValues) -> StandRows:
+        """Evaluate the residuals of a stand, with ``values`` of `StandValues.for_reading`."""
         base, forces = self._unknowns[stand]
         return StandRows(
             self.table,
@@ -1153,7 +1157,7 @@ class StandEquations:
         linearised = [self.linearise_stand(stand, values) for stand in range(len(self._readings))]
         return [math.sqrt(stand_sums.chi2 / max(stand_sums.rows, 1)) for stand_sums in linearised]
 
-    def find_contradictions(self, posterior: Posterior) -> tuple[Array, Array]:
+    def estimate_position_errors(self, posterior: Posterior) -> tuple[Array, Array]:
         """Estimate the error of each joint's measured position in each stand.
 
         The error is the measured position minus the position that the other measurements predict,
@@ -1163,7 +1167,7 @@ class StandEquations:
             Errors and standard deviations of the errors, shape (stands, nu) [rad, m] each.
         """
         contradictions = [
-            rows.find_contradictions(posterior.covariance)
+            rows.estimate_position_errors(posterior.covariance)
             for rows in self.evaluate_rows(posterior.mean)
         ]
         errors, stds = np.moveaxis(np.array(contradictions), 1, 0)

@@ -113,7 +113,7 @@ def _list_joint_residuals(
 
     An error is the measured position minus the position that the other measurements predict.
     """
-    deviation, std = equations.find_contradictions(known)
+    deviation, std = equations.estimate_position_errors(known)
     units = {joint: joint_unit(robot, joint) for joint in stands.joints}
     residuals = [
         JointResidual(
