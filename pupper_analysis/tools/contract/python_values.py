@@ -73,13 +73,13 @@ class FunctionValue(NamedValue):
 
     Attributes:
         node: Syntax tree of the function.
-        around: Scope in which the function was defined.
-        own: Object to which a method is bound; None for a function.
+        enclosing_scope: Scope in which the function was defined.
+        bound_object: Object to which a method is bound; None for a function.
     """
 
     node: ast.FunctionDef | ast.Lambda
-    around: Scope
-    own: LocatedValue | None = None
+    enclosing_scope: Scope
+    bound_object: LocatedValue | None = None
 
 
 @dataclass(eq=False)
@@ -89,12 +89,12 @@ class ClassValue(NamedValue):
     Attributes:
         bases: Base classes.
         fields: {name: value} of attributes and methods, including those of the bases.
-        ordered: Annotated names, in the order of the arguments of the constructor.
+        annotated_names: Annotated names, in the order of the arguments of the constructor.
     """
 
     bases: list[ClassValue]
     fields: dict[str, LocatedValue]
-    ordered: list[str]
+    annotated_names: list[str]
 
 
 @dataclass(eq=False)
@@ -104,12 +104,12 @@ class InstanceValue:
     Attributes:
         kind: Name of the class.
         fields: {name: value}.
-        of: Class, if the module was read.
+        class_value: Class; None if the module was not read.
     """
 
     kind: str
     fields: dict[str, LocatedValue] = field(default_factory=dict)
-    of: ClassValue | None = None
+    class_value: ClassValue | None = None
 
     def __str__(self) -> str:
         return f"{self.kind}(...)"
@@ -144,7 +144,7 @@ class _ReturnSignal(Exception):  # noqa: N818
         self.node = node
 
 
-class _LeaveSignal(Exception):  # noqa: N818
+class _BreakSignal(Exception):  # noqa: N818
     """Signal of ``break``: ends the evaluation of the innermost loop."""
 
 
@@ -152,7 +152,7 @@ class _RaiseSignal(Exception):  # noqa: N818
     """Signal of ``raise`` in the evaluated file, up to a ``try`` statement with handlers."""
 
 
-class _NextSignal(Exception):  # noqa: N818
+class _ContinueSignal(Exception):  # noqa: N818
     """Signal of ``continue``: ends an iteration of the innermost loop."""
 
 
@@ -265,14 +265,20 @@ class Evaluator:
     Args:
         folders: Folders in which imported modules are searched, after the folders above the
             importing file.
+
+    Attributes:
+        modules: {absolute path: names of the evaluated file}.
+        display_folder: Folder to which the paths in places are relative; empty for absolute paths.
+        steps: Number of evaluation steps so far, which is limited.
+        depth: Depth of nested calls.
+        open_tables: {id: table} of tables that may have further keys, which are not known.
     """
 
     def __init__(self, folders: tuple[Path, ...] = ()) -> None:
         self.folders = folders
         self.modules: dict[Path, ModuleNames] = {}
-        self.shown = Path()
+        self.display_folder = Path()
         self.steps, self.depth = 0, 0
-        # {id: table} of tables that may have further keys, which are not known.
         self.open_tables: dict[int, dict[Any, LocatedValue]] = {}
 
     def load_module(self, path: Path) -> ModuleNames:
@@ -285,7 +291,7 @@ class Evaluator:
             ModelError: If the file cannot be parsed, or needs too many steps, for example.
         """
         if not path.is_absolute():  # show relative paths if the request was relative
-            self.shown = Path.cwd()
+            self.display_folder = Path.cwd()
             path = path.absolute()
         if path in self.modules:
             return self.modules[path]
@@ -298,7 +304,7 @@ class Evaluator:
         except (MemoryError, ValueError) as error:
             raise make_file_error(Place(path), diagnose("contract-too-deep")) from error
         result = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
-        with suppress(_LeaveSignal, _NextSignal, _RaiseSignal, _ReturnSignal):
+        with suppress(_BreakSignal, _ContinueSignal, _RaiseSignal, _ReturnSignal):
             self.run_statements(tree.body, Scope(result))
         return result
 
@@ -315,7 +321,7 @@ class Evaluator:
         result = self.load_module(path)
         for statement in ast.parse(read_text(path)).body:
             if isinstance(statement, ast.If) and ast.unparse(statement.test) == _MAIN_TEST:
-                with suppress(_LeaveSignal, _NextSignal, _RaiseSignal, _ReturnSignal):
+                with suppress(_BreakSignal, _ContinueSignal, _RaiseSignal, _ReturnSignal):
                     self.run_statements(statement.body, Scope(result))
         return result
 
@@ -324,7 +330,8 @@ class Evaluator:
     def run_statements(self, body: list[ast.stmt], scope: Scope) -> None:
         """Evaluate statements in order, and store the assigned names in ``scope``.
 
-        The targets of a statement that cannot be evaluated become unknown.
+        All values that a statement may change become unknown if it cannot be evaluated
+        (`_invalidate_changed_values`).
         """
         for statement in body:
             self._count_step(statement, scope)
@@ -333,7 +340,7 @@ class Evaluator:
                     statement, scope
                 )
             except NotConstantError:
-                self._invalidate_targets(statement, scope)
+                self._invalidate_changed_values(statement, scope)
 
     def _count_step(self, node: ast.AST, scope: Scope) -> None:
         """Count an evaluation step; raise a ModelError above `MAX_VALUES` steps."""
@@ -397,11 +404,11 @@ class Evaluator:
 
     def _run_break(self, *_: object) -> None:
         """Raise the signal that ends the innermost loop."""
-        raise _LeaveSignal
+        raise _BreakSignal
 
     def _run_continue(self, *_: object) -> None:
         """Raise the signal that ends the current iteration of the innermost loop."""
-        raise _NextSignal
+        raise _ContinueSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
         """Run the branch of an ``if`` statement that the condition selects."""
@@ -417,9 +424,9 @@ class Evaluator:
         try:
             for item in self._list_items(self.evaluate(statement.iter, scope)):
                 self._assign_target(statement.target, item, scope)
-                with suppress(_NextSignal):
+                with suppress(_ContinueSignal):
                     self.run_statements(statement.body, scope)
-        except _LeaveSignal:
+        except _BreakSignal:
             return
         self.run_statements(statement.orelse, scope)
 
@@ -441,7 +448,7 @@ class Evaluator:
             if not handlers:
                 raise
             for handler in handlers:
-                self._invalidate_targets(handler, scope)
+                self._invalidate_changed_values(handler, scope)
         finally:
             self.run_statements(getattr(statement, "finalbody", []), scope)
 
@@ -452,9 +459,9 @@ class Evaluator:
         # Names in a class body are not visible in its methods.
         of = scope.get("__class__")
         method = of is not None and scope.maps[0] is of.value.fields
-        around = scope.parents if method else scope
+        enclosing = scope.parents if method else scope
         scope[statement.name] = self._make_node(
-            FunctionValue(statement.name, statement, around), statement, scope
+            FunctionValue(statement.name, statement, enclosing), statement, scope
         )
 
     def _run_classdef(self, statement: ast.ClassDef, scope: Scope) -> None:
@@ -463,7 +470,7 @@ class Evaluator:
         known = [base for base in bases if isinstance(base, ClassValue)]
         theirs = dict(ChainMap(*(base.fields for base in known)))
         result = ClassValue(
-            statement.name, known, theirs, [name for base in known for name in base.ordered]
+            statement.name, known, theirs, [name for base in known for name in base.annotated_names]
         )
         decorators = "".join(map(ast.unparse, statement.decorator_list))
         if "dataclass" in decorators or "configclass" in decorators:  # have their own ``__init__``
@@ -476,7 +483,7 @@ class Evaluator:
             if isinstance(class_statement, ast.AnnAssign) and isinstance(
                 class_statement.target, ast.Name
             ):
-                result.ordered.append(class_statement.target.id)
+                result.annotated_names.append(class_statement.target.id)
         scope[statement.name] = node
 
     def _run_import(self, statement: ast.Import, scope: Scope) -> None:
@@ -531,8 +538,14 @@ class Evaluator:
                     return self.load_module(file)
         return None
 
-    def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
-        """Set the values that a statement may change to unknown values."""
+    def _invalidate_changed_values(
+        self, statement: ast.stmt | ast.ExceptHandler, scope: Scope
+    ) -> None:
+        """Set the values that a statement may change to unknown values.
+
+        These are names, attributes and items that it assigns, lists and tables that it changes by
+        methods or functions, and names that it defines or imports.
+        """
         for content, key, lost in [*self._list_changes([statement], scope, {}, set())]:
             if key is not None:
                 with suppress(NotConstantError):
@@ -544,27 +557,27 @@ class Evaluator:
                 item = replace(lost, value=LostItem(lost.value.name))
                 content[:] = [item] * max(len(content), 1)
         within = (node for node in ast.walk(statement) if isinstance(node, ast.stmt))
-        for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
+        for cause, node in ((inner, node) for inner in within for node in ast.walk(inner)):
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
             listed = isinstance(node, ast.Subscript) and self._find_values(node.value, scope, {})
             if not stored or listed:
                 continue
             if isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
                 with suppress(NotConstantError):
-                    lost = self._make_lost(said, node, scope)
+                    lost = self._make_unknown(cause, node, scope)
                     self._assign_target(cast(ast.expr, node), lost, scope)
         for node in _walk_block(statement):
             for name in _list_defined_names(node):
                 if name in scope and not isinstance(scope[name].value, UnknownValue):
-                    scope[name] = self._make_lost(node, node, scope)
+                    scope[name] = self._make_unknown(node, node, scope)
 
-    def _make_lost(self, said: ast.AST, node: ast.AST, scope: Scope) -> LocatedValue:
-        """Make an unknown value with the first line of the statement ``said`` as text.
+    def _make_unknown(self, cause: ast.AST, node: ast.AST, scope: Scope) -> LocatedValue:
+        """Make an unknown value with the first line of ``cause``, usually a statement, as text.
 
         ``node`` is the syntax element whose place (file and line) the value gets.
         """
-        shown = ast.unparse(said).partition("\n")[0][:80]
-        return self._make_node(UnknownValue(shown), node, scope)
+        first_line = ast.unparse(cause).partition("\n")[0][:80]
+        return self._make_node(UnknownValue(first_line), node, scope)
 
     def _list_changes(
         self,
@@ -600,7 +613,7 @@ class Evaluator:
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         }
         within = (node for node in nodes if isinstance(node, ast.stmt))
-        for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
+        for cause, node in ((inner, node) for inner in within for node in ast.walk(inner)):
             found: list[tuple[Any, Any]]
             match node:
                 case ast.Attribute(ctx=ast.Store() | ast.Del()):
@@ -630,7 +643,7 @@ class Evaluator:
                     found = []
             for content, key in found:
                 if isinstance(content, list | dict):
-                    yield content, key, self._make_lost(said, node, scope)
+                    yield content, key, self._make_unknown(cause, node, scope)
 
     def _list_bindings(
         self, node: ast.AST, scope: Scope, origins: dict[str, list[LocatedValue]]
@@ -736,7 +749,10 @@ class Evaluator:
         return result
 
     def _find_key(self, expression: ast.expr, scope: Scope, changing: Iterable[str]) -> Any:
-        """Return the value of a key expression; None if unknown, or if a name may change."""
+        """Return the value of a key expression; None if it is unknown or may change.
+
+        It may change if it contains a call or one of the names ``changing``. A slice is no key.
+        """
         changing = {*changing}
         for node in ast.walk(expression):
             if isinstance(node, ast.Call | ast.Slice) or (
@@ -825,44 +841,45 @@ class Evaluator:
             seen |= {key, (id(node),)}
             self._count_step(node, scope)
             lost = {
-                name: self._make_node(UnknownValue(name), node, function.around) for name in every
+                name: self._make_node(UnknownValue(name), node, function.enclosing_scope)
+                for name in every
             }
             self.depth += 1
             yield from self._list_changes(
                 node.body if isinstance(node, ast.FunctionDef) else [ast.Expr(node.body)],
-                function.around.new_child(lost),
+                function.enclosing_scope.new_child(lost),
                 inside,
                 seen,
             )
             self.depth -= 1
             seen.remove((id(node),))
 
-    def _assign_target(self, to: ast.expr, value: LocatedValue, scope: Scope) -> None:
+    def _assign_target(self, target: ast.expr, value: LocatedValue, scope: Scope) -> None:
         """Assign a value to a name, to several names, to an attribute or to an item.
 
-        ``to`` is the target of the assignment.
+        An item of an object that is neither a list nor a table is ignored.
 
         Raises:
             NotConstantError: If the value does not fit the target, for example.
         """
-        match to:
+        match target:
             case ast.Name():
-                scope[to.id] = value
+                scope[target.id] = value
             case ast.Tuple() | ast.List():
-                for target, part in self._apply_function(
-                    zip, to.elts, self._list_items(value), strict=True
+                for element, part in self._apply_function(
+                    zip, target.elts, self._list_items(value), strict=True
                 ):
-                    self._assign_target(target, part, scope)
+                    self._assign_target(element, part, scope)
             case ast.Attribute():
-                self._get_owner_fields(to.value, scope)[to.attr] = value
+                self._get_owner_fields(target.value, scope)[target.attr] = value
             case ast.Subscript():
-                content = self.evaluate(to.value, scope).value
+                content = self.evaluate(target.value, scope).value
                 if isinstance(content, list | dict):
-                    is_unknown = isinstance(self.evaluate(to.slice, scope).value, UnknownValue)
-                    if is_unknown and not isinstance(to.slice, ast.Attribute):  # no enum member
+                    is_unknown = isinstance(self.evaluate(target.slice, scope).value, UnknownValue)
+                    if is_unknown and not isinstance(target.slice, ast.Attribute):  # no enum member
                         raise NotConstantError
                     self._apply_function(
-                        operator.setitem, content, self._make_key(to.slice, scope), value
+                        operator.setitem, content, self._make_key(target.slice, scope), value
                     )
             case _:
                 raise NotConstantError
@@ -918,16 +935,20 @@ class Evaluator:
     def _make_place(self, expression: ast.AST, scope: Scope) -> Place:
         """Return file and line of an expression."""
         path = get_module(scope).path
-        near = self.shown != Path() and path.is_relative_to(self.shown)
+        near = self.display_folder != Path() and path.is_relative_to(self.display_folder)
         return Place(
-            path.relative_to(self.shown) if near else path, getattr(expression, "lineno", None)
+            path.relative_to(self.display_folder) if near else path,
+            getattr(expression, "lineno", None),
         )
 
     def _apply_function(self, work: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
         """Call a function of the interpreter, such as ``math.sin``, with known values.
 
+        An iterable result becomes a list.
+
         Raises:
-            NotConstantError: If the function fails, or the result is too large or complex.
+            NotConstantError: If the function fails, the result or an argument is too large, or the
+                result is a complex number.
         """
         try:
             result = work(*arguments, **keywords)
@@ -963,7 +984,7 @@ class Evaluator:
         return node.value
 
     def _to_plain(self, node: LocatedValue) -> Any:
-        """Return the value of a node without source locations; the items of a list likewise.
+        """Return the value of a node without source locations, also without those of list items.
 
         Tables and objects in the value are returned unchanged: their contents keep the locations.
 
@@ -1014,7 +1035,13 @@ class Evaluator:
         return scope.get(expression.id) or UnknownValue(expression.id)
 
     def _evaluate_attribute(self, expression: ast.Attribute, scope: Scope) -> Any:
-        """Return an attribute of an object, table or module; a method is bound to its object."""
+        """Return an attribute of an object, table, module or ``super()``.
+
+        A method is bound to its object.
+
+        Raises:
+            NotConstantError: If there is no such attribute, for example.
+        """
         if isinstance(expression.value, ast.Call) and ast.unparse(expression.value.func) == "super":
             owner, node = scope.get("__class__"), scope.get("self")
             if owner is None or node is None:  # for example in a class method
@@ -1026,7 +1053,7 @@ class Evaluator:
         result = self._apply_function(operator.getitem, names, expression.attr)
         method = isinstance(result, LocatedValue) and isinstance(result.value, FunctionValue)
         if method and isinstance(node.value, InstanceValue | ClassValue):
-            return replace(result.value, own=node)
+            return replace(result.value, bound_object=node)
         return result
 
     def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[LocatedValue]:
@@ -1190,16 +1217,21 @@ class Evaluator:
     ) -> Any:
         """Evaluate the call of a library function, or of a class whose module was not read.
 
-        ``called`` is the text of the called expression, such as ``math.radians``.
+        A name with an initial capital counts as a class. The instance has the keywords as fields,
+        and positional arguments in the field ``args``. ``called`` is the text of the called
+        expression, such as ``math.radians``.
+
+        Raises:
+            NotConstantError: If the function is not supported, or an argument unknown, for example.
         """
         name = called.rpartition(".")[2]
         if name in (*_PURE_FUNCTIONS, *_LIST_FUNCTIONS) and arguments:
             plain: Callable[[LocatedValue], Any] = (
                 self._to_plain if name in _PURE_FUNCTIONS else self._list_items
             )
-            said = {key: self._to_plain(value) for key, value in keywords.items()}
+            options = {key: self._to_plain(value) for key, value in keywords.items()}
             return self._apply_function(
-                {**_PURE_FUNCTIONS, **_LIST_FUNCTIONS}[name], *map(plain, arguments), **said
+                {**_PURE_FUNCTIONS, **_LIST_FUNCTIONS}[name], *map(plain, arguments), **options
             )
         if (
             name == "isinstance"
@@ -1283,17 +1315,17 @@ class Evaluator:
             return self._make_instance(called, arguments, keywords)
         if self.depth >= MAX_CALL_DEPTH:
             raise NotConstantError
-        node, around = called.node, called.around
+        node, enclosing = called.node, called.enclosing_scope
         first = [argument.arg for argument in (*node.args.posonlyargs, *node.args.args)]
         names = [*first, *(argument.arg for argument in node.args.kwonlyargs)]
-        scope = around.new_child(
-            {name: self._make_node(UnknownValue(name), node, around) for name in names}
+        scope = enclosing.new_child(
+            {name: self._make_node(UnknownValue(name), node, enclosing) for name in names}
         )
         defaults = [*node.args.defaults, *node.args.kw_defaults]
         for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
             if default is not None:
-                scope[name] = self.evaluate(default, around)
-        arguments = arguments if called.own is None else [called.own, *arguments]
+                scope[name] = self.evaluate(default, enclosing)
+        arguments = arguments if called.bound_object is None else [called.bound_object, *arguments]
         others = {key: keywords[key] for key in keywords if key not in names}
         scope.update(zip(first, arguments, strict=False))
         scope.update({key: keywords[key] for key in keywords if key in names})
@@ -1302,7 +1334,7 @@ class Evaluator:
             (node.args.kwarg, others),
         ):
             if rest is not None:
-                scope[rest.arg] = self._make_node(content, node, around)
+                scope[rest.arg] = self._make_node(content, node, enclosing)
         self.depth += 1
         try:
             if isinstance(node, ast.Lambda):
@@ -1310,34 +1342,43 @@ class Evaluator:
             self.run_statements(node.body, scope)
         except _ReturnSignal as done:
             return done.node
-        except (_LeaveSignal, _NextSignal, _RaiseSignal) as error:
+        except (_BreakSignal, _ContinueSignal, _RaiseSignal) as error:
             raise NotConstantError from error
         finally:
             self.depth -= 1
         return self._make_node(None, node, scope)
 
     def _make_instance(
-        self, of: ClassValue, arguments: list[LocatedValue], keywords: dict[str, LocatedValue]
+        self,
+        class_value: ClassValue,
+        arguments: list[LocatedValue],
+        keywords: dict[str, LocatedValue],
     ) -> LocatedValue:
         """Make an instance of a class with fresh copies of the default values.
 
-        ``__init__`` or else ``__post_init__`` is evaluated, if possible.
+        ``__init__`` is evaluated; if this is not possible, the fields that it assigns are unknown.
+        Without ``__init__``, the arguments are assigned to the annotated names, and
+        ``__post_init__`` is evaluated, if possible.
         """
-        result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
-        start = of.fields.get("__init__")
+        result: InstanceValue = self._copy_value(
+            InstanceValue(class_value.name, class_value.fields, class_value), {}
+        )
+        start = class_value.fields.get("__init__")
         if start is not None and isinstance(start.value, FunctionValue):
             node = LocatedValue(result, start.place)
             try:
-                self.call(replace(start.value, own=node), arguments, keywords)
+                self.call(replace(start.value, bound_object=node), arguments, keywords)
             except NotConstantError:
                 for part in ast.walk(start.value.node):
                     if isinstance(part, ast.Attribute) and isinstance(part.ctx, ast.Store):
-                        lost = self._make_lost(part, part, start.value.around)
+                        lost = self._make_unknown(part, part, start.value.enclosing_scope)
                         result.fields[part.attr] = lost
             return node
-        result.fields.update(zip(dict.fromkeys(of.ordered), arguments, strict=False), **keywords)
+        result.fields.update(
+            zip(dict.fromkeys(class_value.annotated_names), arguments, strict=False), **keywords
+        )
         own = LocatedValue(result, Place(Path()))
-        after = of.fields.get("__post_init__")
+        after = class_value.fields.get("__post_init__")
         if after is not None and isinstance(after.value, FunctionValue):
             with suppress(NotConstantError):
                 self.call(after.value, [own], {})
@@ -1394,7 +1435,11 @@ def _list_defined_names(node: ast.AST) -> list[str]:
 
 
 def _list_search_folders(path: Path) -> Iterator[Path]:
-    """Yield the folders above a file up to about the top folder of the project or package."""
+    """Yield the folders above a file, in which imported modules are searched, nearest first.
+
+    The last one, at least the second, is the first folder that is neither a package nor below the
+    top folder of the project (`_PROJECT_MARKERS`).
+    """
     project = [
         folder
         for folder in path.parents

@@ -113,7 +113,7 @@ def _select_whole_configurations(
     return [
         source
         for root, source in roots
-        if request.name or not root.value.of or root.value.kind not in parts
+        if request.name or not root.value.class_value or root.value.kind not in parts
     ]
 
 
@@ -154,7 +154,7 @@ def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> Located
                     target = statement.targets[0]
                     if isinstance(target, ast.Attribute) and isinstance(target.value, ast.Name):
                         with suppress(py.NotConstantError):
-                            value = evaluator.evaluate(statement.value, part.value.around)
+                            value = evaluator.evaluate(statement.value, part.value.enclosing_scope)
                             table.setdefault(target.attr.lower(), value)
         else:
             table[name.lower()] = _make_constant_table(evaluator, part)
@@ -191,7 +191,11 @@ def _find_annotated_class(
 ) -> LocatedValue:
     """Return the first class in a function argument's annotation; else raise NotConstantError."""
     for child in [] if argument.annotation is None else ast.walk(argument.annotation):
-        node = evaluator.evaluate(child, function.around) if isinstance(child, ast.Name) else None
+        node = (
+            evaluator.evaluate(child, function.enclosing_scope)
+            if isinstance(child, ast.Name)
+            else None
+        )
         if node is not None and isinstance(node.value, py.ClassValue):
             return node
     raise py.NotConstantError
