@@ -168,27 +168,27 @@ class PatternCase:
 
     Attributes:
         robot: Robot.
-        first: Tree of the URDF.
-        raw: Tree of the MJCF, in the body frames of the MJCF.
-        second: Tree of the MJCF, in the body frames of the URDF.
+        urdf_tree: Tree of the URDF.
+        mjcf_tree: Tree of the MJCF, in the body frames of the MJCF.
+        aligned_mjcf_tree: Tree of the MJCF, in the body frames of the URDF.
         keys: Kind and element of each difference.
         tolerances: Tolerances of the comparison.
-        urdf: Links of the URDF's bodies, in the frames of ``first``; empty without inertial
-            differences.
-        mjcf: Links of the MJCF's bodies, in the frames of ``second``; empty without inertial
-            differences.
+        urdf_links: Links of the URDF's bodies, in the frames of ``urdf_tree``; empty without
+            inertial differences.
+        mjcf_links: Links of the MJCF's bodies, in the frames of ``aligned_mjcf_tree``; empty
+            without inertial differences.
         from_geoms: Bodies of the MJCF whose mass is computed from geoms.
         explained: Differences that a previous cause explains.
     """
 
     robot: Robot
-    first: MultibodyTree
-    raw: MultibodyTree
-    second: MultibodyTree
+    urdf_tree: MultibodyTree
+    mjcf_tree: MultibodyTree
+    aligned_mjcf_tree: MultibodyTree
     keys: Sequence[PropertyKey]
     tolerances: Tolerances
-    urdf: Links
-    mjcf: Links
+    urdf_links: Links
+    mjcf_links: Links
     from_geoms: Collection[str] = ()
     explained: Collection[PropertyKey] = ()
 
@@ -198,21 +198,21 @@ class PatternCase:
         return [key for key in self.keys if key not in self.explained]
 
     def find_remaining(
-        self, second: MultibodyTree, only: Collection[str] | None = None
+        self, modified: MultibodyTree, only: Collection[str] | None = None
     ) -> set[PropertyKey]:
         """Return the differences between the URDF's tree and a modified tree of the MJCF.
 
         Args:
-            second: Modified tree. With ``only``, a tree with these joints and without a base.
+            modified: Modified tree. With ``only``, a tree with these joints and without a base.
             only: Joints that are compared, with the attached bodies and frames; by default all
                 joints and the base.
 
         Returns:
             (kind, element) of each difference; ``keys`` if the trees cannot be compared.
         """
-        first = self.first if only is None else self.first.select_joints(only)
+        first = self.urdf_tree if only is None else self.urdf_tree.select_joints(only)
         try:
-            aligned = align_frames(second, first, self.tolerances).values
+            aligned = align_frames(modified, first, self.tolerances).values
             differences = {
                 (c.kind, c.element) for c in changes_between(first, aligned, self.tolerances)
             }
@@ -220,17 +220,17 @@ class PatternCase:
             return set(self.keys)
         return differences
 
-    def find_explained(self, second: MultibodyTree) -> set[PropertyKey]:
+    def find_explained(self, modified: MultibodyTree) -> set[PropertyKey]:
         """Return the differences between the files that disappear if the MJCF's tree is modified.
 
         Args:
-            second: Modified tree of the MJCF.
+            modified: Modified tree of the MJCF.
 
         Returns:
             Differences as pairs (kind, element). Empty if the modified tree has a new difference,
             or if fewer than two differences disappear.
         """
-        remaining = self.find_remaining(second)
+        remaining = self.find_remaining(modified)
         vanished = set(self.keys) - remaining
         return vanished if not remaining - set(self.keys) and len(vanished) > 1 else set()
 
@@ -291,7 +291,7 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
         except (ValueError, RuntimeError):
             continue
         tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
-        vanished = case.find_explained(replace(tree, gravity=case.first.gravity))
+        vanished = case.find_explained(replace(tree, gravity=case.urdf_tree.gravity))
         if len(vanished) > len(best[1]):
             best = (setting, vanished)
     (attribute, value, stated), vanished = best
@@ -319,19 +319,22 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
     return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
 
 
-def find_exchanged(case: PatternCase) -> PatternFindings:
+def find_exchanged_limbs(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged between the files.
 
-    A limb consists of a joint of the base and all joints below.
+    A limb consists of a joint of the base and all joints below. The exchange is undone for each
+    pair of limbs with equal numbers of joints. It counts if at most `_MAX_REMAINING_FRACTION` of
+    the differences of both limbs remain.
     """
-    tops = case.first.children(case.first.base)
-    limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
+    tops = case.urdf_tree.children(case.urdf_tree.base)
+    limbs = {top: [top, *case.urdf_tree.list_descendants(top)] for top in tops}
     concerned = {
-        case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
+        case.urdf_tree.frames[element][0] if kind == "frame" else element
+        for kind, element in case.keys
     }
     concerned_limbs = [top for top, names in limbs.items() if concerned & set(names)]
     pairs: list[tuple[str, str]] = []
-    second, vanished = case.raw, set[PropertyKey]()
+    second, vanished = case.mjcf_tree, set[PropertyKey]()
     candidates = (
         (a, b) for a, b in combinations(concerned_limbs, 2) if len(limbs[a]) == len(limbs[b])
     )
@@ -342,7 +345,7 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
         exchange = dict(zip(limbs[first_limb], limbs[second_limb], strict=True))
         carried = {
             *limb_joints,
-            *(frame for name in limb_joints for frame in case.first.list_frames(name)),
+            *(frame for name in limb_joints for frame in case.urdf_tree.list_frames(name)),
         }
         before = {key for key in case.keys if key[1] in carried}
         part = replace(second.select_joints(limb_joints), frames=second.frames)
@@ -432,13 +435,14 @@ used, divided by the number in the required unit.
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find a common factor between the joint limits, masses, lengths or inertias of both files.
 
-    The message may name a wrong unit (such as degrees, g or mm) or a wrong decimal point.
+    Of limits, only those of hinges are compared. The message may name a wrong unit (such as
+    degrees, g or mm) or a wrong decimal point.
     """
-    first, raw = case.first, case.raw
+    first, raw = case.urdf_tree, case.mjcf_tree
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
     masses = _find_common_factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
     inertias = _find_common_factor(
-        [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
+        [(a.inertia, case.aligned_mjcf_tree.bodies[n].inertia) for n, a in first.bodies.items()]
     )
     places = [(joint.position, raw.joints[name].position) for name, joint in first.joints.items()]
     lengths = _find_common_factor(places)
@@ -474,8 +478,10 @@ def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[Prope
     the tolerances apply to the smaller numbers.
     """
     if factor > 1:
-        return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
-    return replace(case, first=_scale_lengths(case.first, factor)).find_remaining(case.raw)
+        return case.find_remaining(_scale_lengths(case.mjcf_tree, 1 / factor))
+    return replace(case, urdf_tree=_scale_lengths(case.urdf_tree, factor)).find_remaining(
+        case.mjcf_tree
+    )
 
 
 def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
@@ -497,8 +503,8 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the common factor second / first of two or more pairs of proportional arrays, or None.
 
-    Tolerance 0.1 %. Pairs whose first array is zero are ignored; a factor of about 1 does not
-    count.
+    The tolerance is 0.1 %. Pairs whose first array is zero are ignored. A factor does not count if
+    it is negative, or within 1 % of 1.
     """
     ratios = []
     for first, second in pairs:
@@ -537,10 +543,10 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
     for kind, name in case.unexplained:
         if kind == "effort":
-            effort = case.first.joints[name].effort
+            effort = case.urdf_tree.joints[name].effort
             motors = list_joint_actuators(model, model.joint(name).id)
             gear = abs(float(actuator_gear(model, motors[0])[0])) if len(motors) == 1 else 1.0
-            mjcf_effort = case.second.joints[name].effort
+            mjcf_effort = case.aligned_mjcf_tree.joints[name].effort
             if gear != 1.0 and math.isclose(effort * gear, mjcf_effort, rel_tol=1e-6):
                 joints_by_gear[effort, gear].append(name)
     if not joints_by_gear:
@@ -566,11 +572,19 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
     if sum(kind == "inertia" for kind, _ in case.unexplained) < 2:
         return
     lacking_links, other_links = (
-        (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
+        (case.urdf_links, case.mjcf_links)
+        if lacking == "URDF"
+        else (case.mjcf_links, case.urdf_links)
     )
-    tree, other = (case.second, case.first) if lacking == "URDF" else (case.first, case.second)
+    tree, other = (
+        (case.aligned_mjcf_tree, case.urdf_tree)
+        if lacking == "URDF"
+        else (case.urdf_tree, case.aligned_mjcf_tree)
+    )
     if not all(
-        _is_diagonal(_get_own_inertia(link)) for links in lacking_links.values() for link in links
+        _is_diagonal(_get_inertia_in_link_axes(link))
+        for links in lacking_links.values()
+        for link in links
     ):
         return
     in_links = {
@@ -594,7 +608,7 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
         vanished = {key for key in case.unexplained if key[0] == "inertia"} - remaining
         if len(vanished) > 1 and remaining <= set(case.keys):
             count = sum(
-                not _is_diagonal(_get_own_inertia(link))
+                not _is_diagonal(_get_inertia_in_link_axes(link))
                 for group in other_links.values()
                 for link in group
             )
@@ -606,14 +620,14 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
             return
 
 
-def _get_own_inertia(link: ComparedLink) -> Array:
+def _get_inertia_in_link_axes(link: ComparedLink) -> Array:
     """Return the inertia of a link about the CoM, (3, 3) [kg m^2], in the axes of the link."""
     return link.axes.T @ link.body.inertia @ link.axes
 
 
 def _drop_products(link: ComparedLink) -> ComparedLink:
     """Return a link without products of inertia in the axes of the link."""
-    bare = link.axes @ _keep_diagonal(_get_own_inertia(link)) @ link.axes.T
+    bare = link.axes @ _keep_diagonal(_get_inertia_in_link_axes(link)) @ link.axes.T
     return replace(link, body=replace(link.body, inertia=bare))
 
 
@@ -644,18 +658,20 @@ class _TensorPair:
         moving_joint: Joint that moves the body, or the base.
         urdf: Link of the URDF.
         mjcf: Body of the MJCF.
-        turn: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body, shape (3, 3).
+        inertial_rotation: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body,
+            shape (3, 3).
     """
 
     moving_joint: str
     urdf: ComparedLink
     mjcf: ComparedLink
-    turn: Array
+    inertial_rotation: Array
 
-    def equals(self, urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
-        """Return True if two inertia tensors, shape (3, 3) [kg m^2], agree within the tolerance."""
-        scale = max(float(np.abs(urdf).max()), float(np.abs(mjcf).max()))
-        return float(np.abs(urdf - mjcf).max()) <= tolerances.inertia * scale
+
+def _have_equal_tensors(urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
+    """Return True if two inertia tensors, shape (3, 3) [kg m^2], agree within the tolerance."""
+    scale = max(float(np.abs(urdf).max()), float(np.abs(mjcf).max()))
+    return float(np.abs(urdf - mjcf).max()) <= tolerances.inertia * scale
 
 
 def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
@@ -663,17 +679,12 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
     links = UrdfTree.of(case.robot.description.urdf).links
     differing = {element for kind, element in case.keys if kind in ("mass", "com")}
     for kind, name in case.unexplained:
-        pair = case.urdf.get(name, ()), case.mjcf.get(name, ())
+        pair = case.urdf_links.get(name, ()), case.mjcf_links.get(name, ())
         if kind != "inertia" or name in differing or not len(pair[0]) == len(pair[1]) == 1:
             continue
         (urdf,), (mjcf,) = pair
-        turn = links[urdf.name].inertial_rotation
-        yield _TensorPair(
-            name,
-            urdf,
-            mjcf,
-            urdf.axes @ turn @ urdf.axes.T,
-        )
+        rotation = links[urdf.name].inertial_rotation
+        yield _TensorPair(name, urdf, mjcf, urdf.axes @ rotation @ urdf.axes.T)
 
 
 def _compute_origin_shift(link: ComparedLink) -> Array:
@@ -698,7 +709,7 @@ def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
         axes = axes * float(np.sign(np.linalg.det(axes)))
         for turn in quarter_turns():
             inverse = (axes @ turn).T @ (turn.T @ np.diag(moments) @ turn) @ (axes @ turn)
-            if pair.equals(inverse, stated, tolerances):
+            if _have_equal_tensors(inverse, stated, tolerances):
                 return True
     return False
 
@@ -724,13 +735,15 @@ def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
             urdf, mjcf = pair.urdf.body.inertia, pair.mjcf.body.inertia
             if file == "URDF":
                 moved = urdf - _compute_origin_shift(pair.urdf)
-                about_origin += [pair] if pair.equals(moved, mjcf, tolerances) else []
+                about_origin += [pair] if _have_equal_tensors(moved, mjcf, tolerances) else []
                 continue
             moved = mjcf - _compute_origin_shift(pair.mjcf)
-            about_origin += [pair] if pair.equals(urdf, moved, tolerances) else []
-            written = pair.turn.T @ urdf @ pair.turn
-            is_turned = float(np.linalg.norm(pin.log3(pair.turn))) > _MIN_TURN
-            unturned += [pair] if is_turned and pair.equals(written, mjcf, tolerances) else []
+            about_origin += [pair] if _have_equal_tensors(urdf, moved, tolerances) else []
+            written = pair.inertial_rotation.T @ urdf @ pair.inertial_rotation
+            is_turned = float(np.linalg.norm(pin.log3(pair.inertial_rotation))) > _MIN_TURN
+            unturned += (
+                [pair] if is_turned and _have_equal_tensors(written, mjcf, tolerances) else []
+            )
         candidates.append(("inertia origin", file, about_origin))
         candidates.append(("inertia turn", file, unturned))
     conjugate = [pair for pair in pairs if _has_inverse_axes(pair, tolerances)]
@@ -759,7 +772,7 @@ def _describe_tensor_mistake(
         return diagnose(
             "tensors-about-origin", file=file, other=other, links=links, count=count, total=total
         )
-    angle = Quantity(float(np.linalg.norm(pin.log3(pairs[0].turn))), "rad")
+    angle = Quantity(float(np.linalg.norm(pin.log3(pairs[0].inertial_rotation))), "rad")
     return diagnose("inertial-turns-lost", file=file, other=other, links=links, angle=angle)
 
 
@@ -779,7 +792,7 @@ def find_lost_mimics(case: PatternCase) -> PatternFindings:
         without_motor = [
             name
             for name in lost
-            if math.isinf(case.second.joints[name].effort)
+            if math.isinf(case.aligned_mjcf_tree.joints[name].effort)
             and not list_joint_actuators(model, model.joint(name).id)
         ]
         efforts = {("effort", name) for name in without_motor}
@@ -817,7 +830,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
     """
     geom_links = {
         moving_joint: [link.name for link in links if link.name in case.from_geoms]
-        for moving_joint, links in case.mjcf.items()
+        for moving_joint, links in case.mjcf_links.items()
     }
     found = {key for key in case.unexplained if key[0] in INERTIAL_KINDS and geom_links.get(key[1])}
     moving_joints = list(
@@ -826,7 +839,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
     if found:
         urdf, mjcf = (
             Quantity(sum(tree.bodies[name].mass for name in moving_joints), "kg")
-            for tree in (case.first, case.second)
+            for tree in (case.urdf_tree, case.aligned_mjcf_tree)
         )
         bodies = [body for name in moving_joints for body in geom_links[name]]
         is_overruled = (
@@ -838,7 +851,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
         yield PatternFinding("geoms", message, found)
 
 
-def find_closed_loops(case: PatternCase) -> PatternFindings:
+def find_missing_equalities(case: PatternCase) -> PatternFindings:
     """Report one common cause for two or more equality constraints that are missing in the URDF."""
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
@@ -893,11 +906,11 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
 
     ``name`` is the joint that moves the body, or the base.
     """
-    first, second = case.first.bodies[name], case.second.bodies[name]
+    first, second = case.urdf_tree.bodies[name], case.aligned_mjcf_tree.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
     if not first.mass or not second.mass or not difference[0]:
         return None
-    lacks, links = ("MJCF", case.urdf) if difference[0] > 0 else ("URDF", case.mjcf)
+    lacks, links = ("MJCF", case.urdf_links) if difference[0] > 0 else ("URDF", case.mjcf_links)
     candidates = [
         link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(difference[0])
     ]
@@ -912,7 +925,7 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
             ):
                 return _LinkMistake(name, subset, lacks)
     kinds = {kind for kind, element in case.unexplained if element == name}
-    is_single_link = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
+    is_single_link = len(case.urdf_links.get(name, ())) == len(case.mjcf_links.get(name, ())) == 1
     if (
         is_single_link
         and not kinds & {"com", "inertia"}
@@ -921,7 +934,7 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
         return None  # a single number of a single link needs no further cause
     # If another cause explains the inertia, only the mass of the link is tested.
     inertia_options = (False,) if ("inertia", name) in case.explained else (True, False)
-    for link, inertia in product(case.urdf.get(name, ()), inertia_options):
+    for link, inertia in product(case.urdf_links.get(name, ()), inertia_options):
         factor = 1.0 - float(difference[0]) / link.body.mass
         if factor <= 0:
             continue
@@ -964,14 +977,16 @@ def _explains_difference(
 ) -> bool:
     """Return True if a tested mistake explains the inertial difference of a body.
 
-    ``first`` is the body without the mistake. ``removed`` (by undoing the mistake) and
-    ``difference`` (URDF - MJCF) are moments, shape (10,), as from `compute_moments`.
+    The two bodies may then differ only in kinds that an earlier cause explains, and at most
+    `_MAX_RESIDUAL` of the difference remains. ``first`` is the body without the mistake, ``second``
+    the body in the other file. ``removed`` (by undoing the mistake) and ``difference`` (URDF -
+    MJCF) are moments, shape (10,), as from `compute_moments`.
     """
     explained_kinds = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
     if not first.mass > 0 or changes - explained_kinds:
         return False
-    scale = _compute_moment_scale(case.first.bodies[name], case.second.bodies[name])
+    scale = _compute_moment_scale(case.urdf_tree.bodies[name], case.aligned_mjcf_tree.bodies[name])
     if "inertia" in explained_kinds:
         scale[4:] = math.inf
     removed = removed if float(removed[0] * difference[0]) >= 0 else -removed
@@ -1072,11 +1087,14 @@ another body is suspected. Chosen, not tuned.
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
-    """Find bodies that may have the inertial of another body: mass, CoM and inertia all differ."""
+    """Find bodies that may have the inertial of another body: mass, CoM and inertia all differ.
+
+    The masses must differ by at least `_MIN_FOREIGN_MASS_CHANGE`. There is no test of this cause.
+    """
     kinds = ("mass", "com", "inertia")
     foreign = []
-    for name, first in case.first.bodies.items():
-        second = case.second.bodies[name]
+    for name, first in case.urdf_tree.bodies.items():
+        second = case.aligned_mjcf_tree.bodies[name]
         if not {(kind, name) for kind in kinds} <= set(case.unexplained):
             continue
         if (
@@ -1087,18 +1105,18 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
             foreign.append(name)
     if foreign:
         changes = {
-            name: case.second.bodies[name].mass / case.first.bodies[name].mass - 1
+            name: case.aligned_mjcf_tree.bodies[name].mass / case.urdf_tree.bodies[name].mass - 1
             for name in foreign
         }
         foreign.sort(key=lambda name: -round(abs(changes[name]), 9))
-        links = [case.first.bodies[name].link or name for name in foreign]
+        links = [case.urdf_tree.bodies[name].link or name for name in foreign]
         yield PatternFinding(
             "inertial",
             diagnose(
                 "inertials-of-another-robot",
                 bodies=links,
-                one=Quantity(case.first.bodies[foreign[0]].mass, "kg"),
-                two=Quantity(case.second.bodies[foreign[0]].mass, "kg"),
+                one=Quantity(case.urdf_tree.bodies[foreign[0]].mass, "kg"),
+                two=Quantity(case.aligned_mjcf_tree.bodies[foreign[0]].mass, "kg"),
                 change=Quantity(changes[foreign[0]], "1"),
             ),
             {(kind, name) for kind in kinds for name in foreign},
@@ -1124,11 +1142,13 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
-        moved = copy_joint_axis(case.second, case.first, name)
+        moved = copy_joint_axis(case.aligned_mjcf_tree, case.urdf_tree, name)
         vanished = case.find_explained(moved)
         if ("position", name) not in vanished:
             continue
-        distance, angle = _measure_axis_offset(case.first.joints[name], case.second.joints[name])
+        distance, angle = _measure_axis_offset(
+            case.urdf_tree.joints[name], case.aligned_mjcf_tree.joints[name]
+        )
         yield PatternFinding(
             "line",
             diagnose(
@@ -1216,12 +1236,12 @@ def find_causes(
 
 _SEARCHES = (
     find_angle_settings,
-    find_exchanged,
+    find_exchanged_limbs,
     find_scaled_quantities,
     find_efforts_before_gears,
     find_products_dropped_by_either,
     find_masses_of_geoms,
-    find_closed_loops,
+    find_missing_equalities,
     find_lost_mimics,
     find_tensor_mistakes,
     find_link_mistakes,
