@@ -347,7 +347,7 @@ def write_selected_variant(
 ) -> Iterator[tuple[Path, Path] | None]:
     """Write the URDF and MJCF of a selected variant to a temporary folder; yield their paths.
 
-    A variant may be derived, so that it has no files of its own. None for files of the user. The
+    A derived variant, for example, has no files in the package. None for files of the user. The
     folder is deleted at the end of the context.
     """
     if isinstance(meant, RobotFiles):
@@ -362,13 +362,13 @@ def write_selected_variant(
 def check_base_is_free(robot: Robot, code: str, propose: Callable[[], str], **values: Any) -> None:
     """Raise an error if the base is fixed, with a proposed command.
 
-    The error has no command if a note on the robot states why it cannot stand.
+    The error has no command if a note on the robot states why the robot cannot stand.
 
     Args:
         robot: Robot.
         code: Code of the diagnostic of the error; see `Robot.check_floating`.
-        propose: Function that returns the proposed command (`complete_command`). It may raise an
-            error instead.
+        propose: Function that returns the proposed command (`complete_command`), or raises another
+            error.
         **values: Further values of the diagnostic.
 
     Raises:

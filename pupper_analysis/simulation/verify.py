@@ -401,7 +401,7 @@ def _list_notes(
     shares: Mapping[str, float],
     rest_cause: str | None,
 ) -> list[Diagnostic]:
-    """List what is unusual in a simulation, but no failure: lifts, rest of motion, modes and slip.
+    """List the notes on a simulation: lifts of light feet, harmless motion, modes, and slip.
 
     ``rest_cause`` is the code of the harmless motion after the nudge, or None. For ``lifted`` and
     ``shares`` see `_describe_light_feet`. ``com_height`` [m] is the initial height of the CoM.

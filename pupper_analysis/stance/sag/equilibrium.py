@@ -482,8 +482,8 @@ class SagEquilibrium:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
         A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        it is the quantity s of the slip law: the displacement since the start of the creep step,
-        projected onto rigid motions of the soles, plus compliance times tangential force.
+        the result is the quantity s of the slip law: the displacement since the start of the creep
+        step, projected onto rigid motions of the soles, plus compliance times tangential force.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -696,8 +696,8 @@ class SagEquilibrium:
                 residual may then be larger, but within `RESIDUAL_TOLERANCE`.
 
         Returns:
-            The solution; None if Newton's method fails. With soles and pinned feet, it has then
-            also failed with a larger compliance of the contact points.
+            The solution; None if Newton's method fails. With soles and pinned feet, the method is
+            repeated with a larger compliance of the contact points before None is returned.
         """
         found = self._iterate_newton(guess, _ROUNDING_RESIDUAL if exact else RESIDUAL_TOLERANCE / 4)
         if found is None and self.is_sole_point().any() and self.feet == "pinned":

@@ -156,8 +156,8 @@ def _print_rules() -> None:
 def _select_next_step(audits: Sequence[Audit], *, fix: bool, confirmed: bool) -> NextStep | None:
     """Return the command to suggest next: `crosscheck` for both files of a variant; else None.
 
-    With ``fix``, it is `audit` if repairs are unambiguous: without options if this run may write
-    the repairs, otherwise with the options that write them.
+    With ``fix`` and unambiguous repairs, the command is `audit`: without options if this run may
+    write the repairs, otherwise with the options ``--fix --yes``.
     """
     from pupper_analysis.present.document import NextStep
     from pupper_analysis.tools.audit.fix import list_unique_repairs

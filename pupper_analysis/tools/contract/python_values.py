@@ -330,7 +330,7 @@ class Evaluator:
     def run_statements(self, body: list[ast.stmt], scope: Scope) -> None:
         """Evaluate statements in order, and store the assigned names in ``scope``.
 
-        All values that a statement may change become unknown if it cannot be evaluated
+        If a statement cannot be evaluated, all values that the statement may change become unknown
         (`_invalidate_changed_values`).
         """
         for statement in body:
@@ -543,8 +543,8 @@ class Evaluator:
     ) -> None:
         """Set the values that a statement may change to unknown values.
 
-        These are names, attributes and items that it assigns, lists and tables that it changes by
-        methods or functions, and names that it defines or imports.
+        Such values are names, attributes and items that the statement assigns, lists and tables
+        that called methods or functions change, and names that are defined or imported.
         """
         for content, key, lost in [*self._list_changes([statement], scope, {}, set())]:
             if key is not None:
@@ -749,9 +749,10 @@ class Evaluator:
         return result
 
     def _find_key(self, expression: ast.expr, scope: Scope, changing: Iterable[str]) -> Any:
-        """Return the value of a key expression; None if it is unknown or may change.
+        """Return the value of a key expression; None if the value is unknown or may change.
 
-        It may change if it contains a call or one of the names ``changing``. A slice is no key.
+        The value may change if the expression contains a call or a name of ``changing``. None also
+        for a slice.
         """
         changing = {*changing}
         for node in ast.walk(expression):
@@ -1356,7 +1357,7 @@ class Evaluator:
     ) -> LocatedValue:
         """Make an instance of a class with fresh copies of the default values.
 
-        ``__init__`` is evaluated; if this is not possible, the fields that it assigns are unknown.
+        ``__init__`` is evaluated. On failure, all fields that ``__init__`` assigns are unknown.
         Without ``__init__``, the arguments are assigned to the annotated names, and
         ``__post_init__`` is evaluated, if possible.
         """
@@ -1437,8 +1438,8 @@ def _list_defined_names(node: ast.AST) -> list[str]:
 def _list_search_folders(path: Path) -> Iterator[Path]:
     """Yield the folders above a file, in which imported modules are searched, nearest first.
 
-    The last one, at least the second, is the first folder that is neither a package nor below the
-    top folder of the project (`_PROJECT_MARKERS`).
+    After the folder of the file, the last folder is the first folder that is neither a package nor
+    below the top folder of the project (`_PROJECT_MARKERS`).
     """
     project = [
         folder

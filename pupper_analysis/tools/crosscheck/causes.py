@@ -322,9 +322,9 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged_limbs(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged between the files.
 
-    A limb consists of a joint of the base and all joints below. The exchange is undone for each
-    pair of limbs with equal numbers of joints. It counts if at most `_MAX_REMAINING_FRACTION` of
-    the differences of both limbs remain.
+    A limb consists of a joint of the base and all joints below. The names of two limbs with equal
+    numbers of joints are exchanged for the test, for at most `_MAX_EXCHANGES` pairs. An exchange
+    counts if at most `_MAX_REMAINING_FRACTION` of the differences of both limbs remain.
     """
     tops = case.urdf_tree.children(case.urdf_tree.base)
     limbs = {top: [top, *case.urdf_tree.list_descendants(top)] for top in tops}

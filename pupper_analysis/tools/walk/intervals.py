@@ -431,7 +431,7 @@ def _bisect_brackets(
 ) -> None:
     """Simulate the bounds of the ranges, then bisect the brackets, in place.
 
-    A bracket whose bound satisfies the criterion ends there, with NaN as violated value; others
+    If the bound of a range satisfies the criterion, the bracket is [bound, NaN]. The other brackets
     are halved `NUM_HALVINGS` times. ``simulate`` adds the outcomes of trials to ``outcomes``.
     """
     for halving in range(1 + NUM_HALVINGS):

@@ -100,9 +100,10 @@ def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
 def _format_limits(
     workspace: BaseWorkspace, groups: Mapping[str, Sequence[str]], *, has_else: bool = False
 ) -> str:
-    """Format {limit: directions}, most directions first; with ``has_else``, that limit comes last.
+    """Format {limit: directions}, most directions first.
 
-    The directions of a limit are the shorter of their list and ``all but`` the other directions.
+    With ``has_else``, the first of several limits comes last, as ``else``, without directions. The
+    directions of a limit are the shorter of their list and ``all but`` the other directions.
     """
     limits = _sort_by_length(groups)
     parts = list[str]()
