@@ -434,14 +434,29 @@ def test_coupled_legs_squat_shift_lift_a_foot_and_lean_on_a_slope(tmp_path: Path
     assert max(found.torque_error, found.force_error) < 1e-3
 
 
-def test_loops_with_rods_that_the_urdf_lacks_are_refused(tmp_path: Path) -> None:
-    """Cassie's Achilles rods have ball joints, which would lock the loop if fixed."""
+def test_loops_with_hinges_that_the_urdf_lacks_are_refused_unless_the_mjcf_is_alone(
+    tmp_path: Path,
+) -> None:
+    pair = four_bars(tmp_path, in_urdf=False)
+    with pytest.raises(pa.ModelError, match=r"FL_pin.*: give the MJCF alone"):
+        load(pair)
+    assert pa.load_robot(pair.mjcf).closure is not None
+
+
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_loops_with_ball_joints_are_refused_with_advice_that_helps(
+    tmp_path: Path, is_alone: bool
+) -> None:
+    """Cassie's Achilles rods have ball joints, which would lock the loop if fixed.
+
+    Reference: the MJCF loads if a hinge replaces each ball joint.
+    """
     pair = four_bars(tmp_path, in_urdf=False)
     axis = '<joint name="{}_pin" axis="0 1 0" range="-3 3" />'
     ball = '<joint name="{}_rod" type="ball" />'
     rewrite_file(pair.mjcf, *((axis.format(leg), ball.format(leg)) for leg in LEGS))
-    with pytest.raises(pa.ModelError, match=r"FL_rod.*: give the MJCF alone"):
-        load(pair)
+    with pytest.raises(pa.ModelError, match=r"FL_rod.*: replace each ball joint by three hinges"):
+        pa.load_robot(pair.mjcf) if is_alone else load(pair)
 
 
 @pytest.mark.slow

@@ -336,7 +336,7 @@ def match_models(
     for key in list(spec.keys):
         spec.delete(key)  # the number of coordinates may have changed
     if complete:
-        _refuse_loops(spec, only_mjcf, mjcf.path)
+        _refuse_loops(spec, only_mjcf, trees.deleted_balls, mjcf.path)
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
     removals = list_removals(sides[0], only_urdf), list_removals(sides[1], only_mjcf)
     mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
@@ -835,11 +835,17 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 """Types of equality constraints that close kinematic loops."""
 
 
-def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise a ModelError if fixed joints may block closed loops or couplings of an MJCF."""
+def _refuse_loops(
+    spec: mujoco.MjSpec, fixed_joints: Collection[str], balls: Collection[str], source: Path
+) -> None:
+    """Raise a ModelError if fixed joints may block closed loops or couplings of an MJCF.
+
+    Ball joints (``balls``) are reported first, since they are fixed without the URDF, too.
+    """
     for equality in spec.equalities if fixed_joints else ():
         names = {equality.name1, equality.name2} - {""}
         is_coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT and not names.isdisjoint(fixed_joints)
         is_coupled = is_coupled and not names.issubset(fixed_joints)
         if equality.active and (is_coupled or equality.type in _LOOP_TYPES):
-            raise ModelError(source, diagnose("loops-through-other-joints", joints=fixed_joints))
+            code = "loops-with-ball-joints" if balls else "loops-through-other-joints"
+            raise ModelError(source, diagnose(code, joints=balls or fixed_joints))
