@@ -94,7 +94,7 @@ limb. The bound avoids a division by zero. Chosen, not tuned.
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     """Report the axis along which the limbs of a robot point, if the limbs do not point downwards.
 
-    The message proposes a rotation of the base.
+    The message proposes a frame above the base, in a URDF and in an MJCF.
 
     Returns:
         List with a message. Empty if the limbs point downwards, or along no axis of the base, for
@@ -117,8 +117,15 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     if np.abs(along[axis]) < _MIN_DIRECTION_COSINE or (axis == 2 and sign < 0):
         return []
     turn = np.array([[0, sign, 0], [-sign, 0, 0], [2, 0, 0]])[axis] * np.pi / 2
-    where, rpy = f"{'-+'[sign > 0]}{'xyz'[axis]}", " ".join(f"{angle:.16g}" for angle in turn)
-    return [diagnose("limbs-aside", axis=where, rpy=rpy)]
+    quaternion = np.array([np.cos(np.linalg.norm(turn) / 2), *np.sin(turn / 2)])
+    return [
+        diagnose(
+            "limbs-aside",
+            axis=f"{'-+'[sign > 0]}{'xyz'[axis]}",
+            rpy=" ".join(f"{angle:.16g}" for angle in turn),
+            quat=" ".join(f"{part:.6g}" for part in np.round(quaternion, 12) + 0.0),
+        )
+    ]
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:

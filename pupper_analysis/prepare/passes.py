@@ -495,19 +495,24 @@ def _find_feet(draft: Draft) -> PassOutput:
 
 
 def _explain_contact_bits(mjcf: MjcfFile) -> ModelError | None:
-    """Return the error that contype and conaffinity keep the geoms of limb ends from the floor.
+    """Return the error that contype and conaffinity keep all geoms of a limb end from the floor.
 
-    Its source is the line of the first such geom. None if there is no such geom. Without a floor,
-    the bits of the floor are MuJoCo's default, 1.
+    Its source is the line of the first such geom. None if there is no such limb end. Without a
+    floor, the bits of the floor are MuJoCo's default, 1. A URDF has no such bits: its limb ends
+    then have visual shapes only.
     """
     model = mjcf.model
     floor, bits = ground_geom(model), (model.geom_contype, model.geom_conaffinity)
     floor_bits = (1, 1) if floor is None else (int(bits[0][floor]), int(bits[1][floor]))
     touching = (bits[0] & floor_bits[1]) | (bits[1] & floor_bits[0])
-    at_end = np.isin(model.body_weldid[model.geom_bodyid], limb_ends(model))
-    geoms = np.flatnonzero(at_end & (touching == 0)).tolist()
+    bodies = model.body_weldid[model.geom_bodyid]
+    ends = np.setdiff1d(limb_ends(model), bodies[touching != 0])
+    geoms = np.flatnonzero(np.isin(bodies, ends)).tolist()
     if not geoms:
         return None
+    if mjcf.of_urdf:
+        links = [model.body(body).name for body in np.unique(bodies[geoms])]
+        return ModelError(mjcf.path, diagnose("no-feet-as-shapes-are-visual", links=links))
     names = [model.geom(geom).name or model.body(model.geom_bodyid[geom]).name for geom in geoms]
     problem = diagnose(
         "geoms-miss-the-floor",
@@ -745,11 +750,14 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
     """Create the message that a robot has no nominal stand (default `StandTask`)."""
     names = tuple(foot.name for foot in draft.feet)
+    count = sum(len(foot.points) for foot in draft.feet)
     if len(names) >= _MIN_STANDING_FEET:
         try:
             stand_statics(draft.robot, solve_stand(draft.robot, explain=False))
         except PupperAnalysisError as error:
             return diagnose("no-stand-on-feet", feet=names, why=error.diagnostic)
+    elif 0 < count < _MIN_POLYGON_POINTS:
+        return diagnose("stands-on-too-few-points", feet=names, count=count)
     return diagnose("stands-on-no-feet")
 
 

@@ -15,7 +15,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.prepare.contact_points import ContactPoint
 from pupper_analysis.prepare.feet import Foot, is_ball, measure_point_displacement
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.legged import quadruped, rewrite_file
+from tests.support.legged import Pair, biped, quadruped, rewrite_file
 
 
 @pytest.mark.parametrize(
@@ -105,3 +105,69 @@ def test_refusal_names_geoms_whose_contact_bits_exclude_the_floor(
     assert (problem.values["contype"], problem.values["conaffinity"]) == bits
     line = text[: text.index('name="FL"')].count("\n") + 1
     assert caught.value.source.endswith(f":{line}")
+
+
+def _add_foot_shapes(pair: Pair, element: str, shape: str) -> Path:
+    """Add a shape to the feet of the URDF of a biped, as ``<visual>`` or ``<collision>``."""
+    text = pair.urdf.read_text()
+    for side in ("left", "right"):
+        opened = f'<link name="{side}_tilt_link">'
+        added = f'<{element}><origin xyz="0 0 -0.05"/><geometry>{shape}</geometry></{element}>'
+        text = text.replace(opened, opened + added)
+    pair.urdf.write_text(text)
+    return pair.urdf
+
+
+def test_urdf_whose_feet_have_visual_shapes_only_lacks_collision_shapes(tmp_path: Path) -> None:
+    """A URDF has no contype, which the message named."""
+    path = _add_foot_shapes(biped(tmp_path), "visual", '<box size="0.18 0.08 0.02"/>')
+    robot = pa.load_robot(path)
+    with pytest.raises(pa.ConfigurationError, match="no <collision> element") as caught:
+        pa.solve_stand(robot)
+    assert (why := caught.value.problem.values["why"]).code == "no-feet-as-shapes-are-visual"
+    assert why.values["links"] == ("left_tilt_link", "right_tilt_link")
+
+
+def test_two_round_feet_are_named_with_the_number_of_their_contact_points(tmp_path: Path) -> None:
+    """The message was that the robot has no feet, which is false for example for Bolt."""
+    path = _add_foot_shapes(biped(tmp_path), "collision", '<sphere radius="0.02"/>')
+    robot = pa.load_robot(path)
+    with pytest.raises(pa.ConfigurationError, match="at only 2 points") as caught:
+        pa.solve_stand(robot)
+    why = caught.value.problem.values["why"]
+    assert set(why.values["feet"]) == {"left_tilt_link", "right_tilt_link"}
+
+
+def test_visual_geoms_beside_collision_geoms_are_no_reason_for_missing_feet(tmp_path: Path) -> None:
+    """The legs point upward. Their visual geoms have contype 0, as in most files."""
+    visual = '<geom type="sphere" size="0.01" contype="0" conaffinity="0"/>'
+    with pytest.raises(pa.ModelError, match="the limbs end along") as caught:
+        pa.load_robot(mjcf=_turn_legs_up(biped(tmp_path, f"{_SOLE_ABOVE}{visual}").mjcf))
+    assert caught.value.cause.code == "limbs-aside"
+
+
+_SOLE_ABOVE = '<geom type="box" size="0.09 0.04 0.01" pos="0.03 0 0.05"/>'
+"""Sole of a biped whose legs point upward."""
+
+
+def _turn_legs_up(path: Path) -> Path:
+    """Mirror the legs of the MJCF of a biped at the horizontal plane."""
+    return rewrite_file(path, (' -0.3"', ' 0.3"'), (' -0.02"', ' 0.02"'))
+
+
+def test_advice_for_a_base_that_is_upside_down_leads_to_a_stand(tmp_path: Path) -> None:
+    """The advice was to change the URDF of a user who had an MJCF only."""
+    path = _turn_legs_up(biped(tmp_path, _SOLE_ABOVE).mjcf)
+    with pytest.raises(pa.ModelError, match="in an MJCF, a body with the free joint") as caught:
+        pa.load_robot(mjcf=path)
+    quat = caught.value.cause.values["quat"]
+    outer = f'<body name="frame" pos="0 0 0.8"><freejoint/><body pos="0 0 0" quat="{quat}" '
+    rewrite_file(
+        path,
+        ('<body name="pelvis" pos="0 0 0.8"><freejoint/>', f'{outer}name="pelvis">'),
+        ("</worldbody>", "</body></worldbody>"),
+    )
+    robot = pa.load_robot(mjcf=path)
+    forces = stand_statics(robot, pa.solve_stand(robot)).contact_forces
+    weight = 9.81 * robot.mj_model.body_mass.sum()
+    assert sum(force[2] for force in forces.values()) == pytest.approx(weight)
