@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -93,6 +94,24 @@ def test_gain_beyond_its_bound_is_stated_as_such(
     (line,) = describe_servo_gains(bounds, SERVOS)
     assert isinstance(line, Text)
     assert line.short == shown
+
+
+@pytest.mark.parametrize("least", [None, 0.5, 2.0])
+@pytest.mark.parametrize("largest", [None, 0.5, 1.5])
+def test_bounds_of_different_gains_are_separated(
+    least: float | None, largest: float | None
+) -> None:
+    """Romeo: "kp may fall to 0.47 times kd must fall to 0.0032 times"; H1: "gains:; kd at most"."""
+    stiff = [replace(SERVO_BOUNDS.classes[0], kp=320.0), *SERVO_BOUNDS.classes]
+    bounds = replace(
+        SERVO_BOUNDS, classes=tuple(stiff), least_kp_factor=least, largest_kd_factor=largest
+    )
+    (line,) = describe_servo_gains(bounds, SERVOS)
+    assert isinstance(line, Text)
+    for clause in (line.en, str(line.short)):
+        assert clause.count(",") >= (least is not None) + (largest is not None)
+        assert not re.search(r"[:,;]\s*([:,;]|$)", clause)
+        assert all(re.search(f", {gain}", clause) for gain in ("kp", "kd") if gain in clause)
 
 
 @pytest.mark.parametrize(
