@@ -330,9 +330,11 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     unknown = file.unknown.get("effort", ())  # if converted from another format
     found: dict[str, EffortStatement] = {}
     by_joint: dict[str, list[EffortStatement | None]] = {}
+    axes = {joint.name: _GEAR_LENGTHS.get(joint.type, 1) for joint in file.spec.joints}
     for actuator in file.spec.actuators:
         if actuator.trntype in _JOINT_TRANSMISSIONS:
-            by_joint.setdefault(actuator.target, []).append(_empty_range(file, actuator))
+            empty = _empty_range(file, actuator, axes.get(actuator.target, 1))
+            by_joint.setdefault(actuator.target, []).append(empty)
     for joint, statements in by_joint.items():
         first = statements[0]
         if first is not None and all(statements):  # several actuators add up
@@ -351,10 +353,17 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 """Transmissions of actuators that act on a single joint, in an ``MjSpec``."""
 
 
-def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the range of an actuator that permits no force, or its gear of 0; None without one."""
+_GEAR_LENGTHS = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_FREE: 6}
+"""{type of a joint: number of the values of ``gear`` that act on the joint}, if not 1."""
+
+
+def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator, axes: int) -> EffortStatement | None:
+    """Return the range of an actuator that permits no force, or its gear of 0; None without one.
+
+    The first ``axes`` values of the gear act on the joint.
+    """
     name = actuator.name or actuator.target
-    if actuator.gear[0] == 0:
+    if not np.any(actuator.gear[:axes]):
         return EffortStatement.empty("MJCF", "actuator", name, "gear", (0.0, 0.0))
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE and actuator.gainprm[0] != 0:

@@ -17,7 +17,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.attributes import UNSTATED
-from pupper_analysis.models.efforts import resolve_effort_limit
+from pupper_analysis.models.efforts import null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
@@ -488,6 +488,24 @@ def test_a_gear_of_zero_is_a_motor_without_torque(tmp_path: Path, servos: bool) 
     rules = [finding.rule for finding in pa.audit_model(pair.mjcf).findings]
     assert "actuator-without-effect" in rules
     assert "effort-or-velocity-zero" not in rules  # MuJoCo does not ignore a gear of zero
+
+
+@pytest.mark.parametrize(
+    ("gear", "is_empty"), [("0 0 1", False), ("0 -2", False), ("1", False), ("0 0 0 1", True)]
+)
+def test_a_motor_at_a_ball_joint_has_three_gears(gear: str, is_empty: bool, tmp_path: Path) -> None:
+    """Reference: the generalised forces of the motor in bare MuJoCo."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="ball" type="ball"/><geom size="0.1"/></body>'
+        f'</worldbody><actuator><motor joint="ball" gear="{gear}"/></actuator></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(model, data)
+    assert (not data.qfrc_actuator.any()) is is_empty
+    assert (set(null_efforts(read_mjcf(path))) == {"ball"}) is is_empty
 
 
 @pytest.mark.slow
