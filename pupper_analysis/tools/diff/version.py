@@ -250,9 +250,10 @@ def _describe_target(scene: NamedModel, motor: int) -> str:
 
 
 def _to_numbers(values: Any, *, trim: bool = True) -> list[float]:
-    """Convert numbers to a list; trailing zeros are removed if ``trim``."""
+    """Convert numbers to a list; trailing zeros after the first number are removed if ``trim``."""
     numbers = np.asarray(values, dtype=float)
-    return list(map(float, np.trim_zeros(numbers, "b") if trim else numbers))
+    length = max(1, np.trim_zeros(numbers, "b").size) if trim else numbers.size
+    return [float(number) for number in numbers[:length]]
 
 
 # Files in git: `REVISION:PATH`.

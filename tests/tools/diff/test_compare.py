@@ -206,6 +206,10 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
     text = mjcf_text(ROBOT, extra=extra)
     more = text.replace('<site name="foot0"', '<site name="mark"/><site name="foot0"')
     assert pa.diff_models(*write_both(tmp_path, text, more, "xml")).same
+    null = pa.diff_models(*write_both(tmp_path, text, text.replace('gear="2"', 'gear="0"'), "xml"))
+    assert [change.message for change in null.changes] == [
+        "motor winch: gear (2) in the old file, gear (0) in the new file"  # it was "gear ()"
+    ]
     new = text.replace('site="foot2"', 'site="foot3"').replace('gear="2"', 'gear="2.5"')
     diff = pa.diff_models(*write_both(tmp_path, text, new, "xml"))
     assert [change.message for change in diff.changes] == [
