@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, contains_error, diagnose
-from pupper_analysis.models.mjcf import compile_spec, lower_boundmass
 from pupper_analysis.prepare.causes import TIE_CODES
 from pupper_analysis.prepare.limits import (
     describe_loaded_passive_joints,
@@ -57,6 +56,7 @@ from pupper_analysis.robot.build import (
 )
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.joints import joint_unit
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
@@ -435,62 +435,6 @@ _FILE_ERROR_CODES = {
 }
 """Codes of loading notes about errors of the file that do not prevent a simulation. Verdicts
 contain these notes, since the results depend on assumptions that replace the erroneous values."""
-
-
-def describe_missing_masses(robot: Robot) -> Diagnostic | None:
-    """Create the message about links that got a mass, or whose negative mass was moved, in loading.
-
-    Bodies whose mass is the ``boundmass`` of the MJCF's compiler also got a mass.
-
-    Returns:
-        The message; None without such links.
-    """
-    given = [
-        note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
-    ]
-    moved = (note for note in robot.notes if note.code == "inertia-moved" and note.subject)
-    negative = [
-        note.subject.name
-        for note in moved
-        if note.subject and isinstance(mass := note.values["mass"], Quantity) and mass.value < 0
-    ]
-    bounded, bound = robot.compute_once(_list_bounded_bodies)
-    if not given and not negative and not bounded:
-        return None
-    return diagnose(
-        "link-masses-unknown",
-        links=given,
-        count=len(given),
-        bounded=bounded,
-        bound=bound,
-        before_bounded=bool(given and bounded),
-        both=bool((given or bounded) and negative),
-        negative=negative,
-    )
-
-
-def _list_bounded_bodies(robot: Robot) -> tuple[tuple[str, ...], Quantity]:
-    """Return the moving bodies whose mass is only the compiler's ``boundmass``, and the bound.
-
-    A body that is fixed to a body with a stated mass is omitted, and also a base that the robot
-    holds fixed.
-    """
-    spec = robot.description.mjcf.copy()
-    bound = Quantity(float(spec.compiler.boundmass), "kg")
-    smaller = lower_boundmass(spec)
-    if not smaller:
-        return (), bound
-    spec.compiler.settotalmass = -1.0
-    model = compile_spec(spec, robot.description.mjcf_source)
-    base = model.body(robot.mj_base).id
-    at_bound = model.body_mass == smaller
-    groups = {
-        int(group): at_bound[model.body_weldid == group].all()
-        for group in np.unique(model.body_weldid[model.body_dofnum > 0])
-        if model.body_rootid[group] == model.body_rootid[base]
-        and (robot.floating or group != model.body_weldid[base])
-    }
-    return tuple(model.body(group).name for group, missing in groups.items() if missing), bound
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:

@@ -22,6 +22,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import HINGE_UNITS, POSITION_UNIT, SLIDE_UNITS
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.stance.problem import can_move_com, compute_targets
 from pupper_analysis.stance.search import search_near_stand, search_stand
@@ -95,15 +96,23 @@ class BaseWorkspace(Tabular):
             joints at their limits and the reach of the legs.
         mismatch: Message that the CoM of the MJCF is beside the CoM of the URDF, from which the
             intervals are computed; None if both agree horizontally.
+        missing_masses: Message about links with assumed masses, on which the CoM depends; None if
+            the files state all.
     """
 
-    _warnings: ClassVar[tuple[str, ...]] = ("mismatch",)
+    _warnings: ClassVar[tuple[str, ...]] = ("mismatch", "missing_masses")
 
     name: str
     start: Stand
     intervals: dict[str, Interval] = field(metadata={"unit": "m or rad"})
     limits: dict[str, tuple[Diagnostic, Diagnostic]]
     mismatch: Diagnostic | None = None
+    missing_masses: Diagnostic | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the files state all masses."""
+        return self.missing_masses is None
 
     def _field_units(self) -> dict[str, dict[str, str]]:
         """Return the unit of each direction in ``intervals``."""
@@ -199,6 +208,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         intervals=intervals,
         limits=limits,
         mismatch=_describe_com_mismatch(robot, ends),
+        missing_masses=describe_missing_masses(robot),
     )
 
 

@@ -20,7 +20,6 @@ from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import (
     describe_frictionless_feet,
     describe_impossible_inertias,
-    describe_missing_masses,
     judge_stand,
     list_file_remarks,
 )
@@ -28,6 +27,7 @@ from pupper_analysis.prepare.limits import describe_unknown_limits
 from pupper_analysis.prepare.self_check import report_ties
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.trial import Failure, NudgeTrial

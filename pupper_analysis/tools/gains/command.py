@@ -84,8 +84,8 @@ def command(
         --figure gains.png
       pupper-analysis gains go1.urdf go1.xml --write tuned/
 
-    Exit status: 0 the robot stands stably with the present gains, which are within all bounds, 1
-    otherwise, 2 bad input.
+    Exit status: 0 the robot stands stably with the present gains, which are within all bounds, and
+    the files state all masses; 1 otherwise; 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.gains.gains import study_gains
 

@@ -32,7 +32,7 @@ from pupper_analysis.base.units import (
     combine_joint_units,
     select_joint_units,
 )
-from pupper_analysis.prepare.judge import describe_missing_masses, describe_ties
+from pupper_analysis.prepare.judge import describe_ties
 from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
@@ -45,6 +45,7 @@ from pupper_analysis.robot.joints import (
     force_unit,
     is_slide,
 )
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION

@@ -79,7 +79,8 @@ def command(
         --motor '*_3=mit-mini-cheetah' --limit 80 --payload 1 --figure heat.png
 
     Exit status: 0 no motor reaches the limit, 1 a motor reaches the limit, is too weak, or
-    has an unknown number, or a joint has no motor, 2 bad input.
+    has an unknown number, a joint has no motor, or a file does not state the mass of a moving
+    link, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if list_motors:
         refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})

@@ -25,9 +25,10 @@ from pupper_analysis.models.motors.thermal import (
     compute_continuous_torque,
     list_unknown_thermal_numbers,
 )
-from pupper_analysis.prepare.judge import describe_missing_masses, describe_ties
+from pupper_analysis.prepare.judge import describe_ties
 from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.joints import check_motor_joints
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, resolve_stance, stand_statics

@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_missing_masses
+from pupper_analysis.prepare.judge import describe_frictionless_feet
 from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
@@ -40,6 +40,7 @@ from pupper_analysis.present.verdict import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
     find_servos_used,

@@ -27,10 +27,11 @@ from pupper_analysis.models.motors.energy import MotorEnergy, compute_motor_ener
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.models.transmission import read_gears
-from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
+from pupper_analysis.prepare.judge import list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.joints import list_force_units
+from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import integrate_servo_damping, read_torque_ranges
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO

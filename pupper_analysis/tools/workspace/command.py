@@ -32,7 +32,8 @@ def command(
       pupper-analysis workspace v3 --swing FL=2cm --com inside \\
         --json workspace.json
 
-    Exit status: 0 done, 2 the stance itself is out of reach, or bad input.
+    Exit status: 0 done, 1 a file does not state the mass of a moving link, 2 the stance itself is
+    out of reach, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.stance.workspace import base_workspace
 
@@ -43,4 +44,4 @@ def command(
         result = base_workspace(robot, task)
     request.show(result, robot)
     shared.write_page(report_path, result, [robot])
-    shared.finish_command(json_path, result, passed=True)
+    shared.finish_command(json_path, result, passed=result.passed)

@@ -208,15 +208,15 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         (table, view_block(robot, workspace.start, None)),
         findings=(
             text("range-in-short", ranges=join_words(ranges, "semicolon")),
-            *map(doc.diagnostic_text, filter(None, [workspace.mismatch])),
+            *map(doc.diagnostic_text, filter(None, [workspace.missing_masses, workspace.mismatch])),
             text(
                 "workspace-limits",
                 limits=_join_limits(workspace),
                 intersect=workspace.start.task.self_clearance is None,
             ),
         ),
-        passed=True,
-        verdict=text("RANGE"),
+        passed=workspace.passed,
+        verdict=text("RANGE" if workspace.passed else "UNKNOWN"),
         details=(task_text(workspace.start.task),),
         brief=True,
         notes=robot_notes(robot),
@@ -227,9 +227,12 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
 def _select_next_step(workspace: BaseWorkspace) -> doc.NextStep:
     """Return the command to suggest next: `crosscheck` if the CoMs of both files differ.
 
+    If the files do not state all masses, `audit` lists the links.
     If the base turns to the end of the search, links of the robot intersect: the range is computed
     again with a clearance between links.
     """
+    if not workspace.passed:
+        return doc.NextStep("audit")
     if workspace.mismatch is not None:
         return doc.NextStep("crosscheck")
     codes = {limit.code for ends in workspace.limits.values() for limit in ends}

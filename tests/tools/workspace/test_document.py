@@ -143,3 +143,13 @@ def test_base_that_turns_to_the_end_of_the_search_is_searched_with_link_clearanc
     document = workspace_document(result)
     assert document.next_step == NextStep("best", ("margin",))
     assert "links may intersect" not in get_english(document.findings[1])
+
+
+def test_missing_masses_precede_the_limits() -> None:
+    result = workspace()
+    result.passed = False
+    result.missing_masses = diagnose("link-masses-unknown", links=["FL_thigh"], count=1)
+    document = workspace_document(result)
+    assert get_english(document.verdict) == "UNKNOWN"
+    assert "FL_thigh" in get_english(document.findings[1])
+    assert document.next_step == NextStep("audit")
