@@ -163,7 +163,9 @@ def place_base_frame(
     )
     if start_rotation[2, 2] < _MIN_LEVEL_COSINE:
         tilt, subject = Quantity(float(np.arccos(start_rotation[2, 2])), "rad"), ("body", base.name)
-        return [diagnose("base-frame-tilted", subject=subject, tilt=tilt)]
+        key = keys[0] if keys and has_base_pose else None
+        name = None if key is None else model.key(key).name or str(key)
+        return [diagnose("base-frame-tilted", subject=subject, tilt=tilt, keyframe=name)]
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

@@ -313,6 +313,21 @@ def test_tilted_base_frame_gives_a_note(tmp_path: Path) -> None:
         assert ("base-frame-tilted" in codes) is tilted
 
 
+def test_keyframe_upside_down_is_named_and_not_the_body(tmp_path: Path) -> None:
+    """A keyframe of H1 with quaternion 0 1 0 0: the advice was to rotate the content of the body.
+
+    Reference: the legs point along -z of the base, so that the stance of the body is unchanged.
+    """
+    pair = quadruped(tmp_path)
+    upright = pa.load_robot(mjcf=pair.mjcf)
+    rewrite_file(pair.mjcf, (" 1 0 0 0 ", " 0 1 0 0 "))
+    robot = pa.load_robot(mjcf=pair.mjcf)
+    (note,) = (note for note in robot.notes if note.code == "base-frame-tilted")
+    assert note.values["keyframe"] == "home"
+    assert "correct the orientation of the body in the keyframe" in str(note)
+    assert robot.stand_height == pytest.approx(upright.stand_height, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("turn", "axis", "back"), [("x", "+y", (-1, 0)), ("y", "-x", (0, -1)), ("xx", "+z", (2, 0))]
 )
