@@ -497,9 +497,9 @@ def _find_feet(draft: Draft) -> PassOutput:
 def _explain_contact_bits(mjcf: MjcfFile) -> ModelError | None:
     """Return the error that contype and conaffinity keep all geoms of a limb end from the floor.
 
-    Its source is the line of the first such geom. None if there is no such limb end. Without a
-    floor, the bits of the floor are MuJoCo's default, 1. A URDF has no such bits: its limb ends
-    then have visual shapes only.
+    Its source is the line of the first such geom. None if the lowest limb end at ``qpos0`` is no
+    such limb end: hands may have visual geoms only. Without a floor, the bits of the floor are
+    MuJoCo's default, 1. A URDF has no such bits: its limb ends then have visual shapes only.
     """
     model = mjcf.model
     floor, bits = ground_geom(model), (model.geom_contype, model.geom_conaffinity)
@@ -508,7 +508,10 @@ def _explain_contact_bits(mjcf: MjcfFile) -> ModelError | None:
     bodies = model.body_weldid[model.geom_bodyid]
     ends = np.setdiff1d(limb_ends(model), bodies[touching != 0])
     geoms = np.flatnonzero(np.isin(bodies, ends)).tolist()
-    if not geoms:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    lowest = min(limb_ends(model), key=lambda body: data.xipos[body, 2], default=0)
+    if lowest not in bodies[geoms]:
         return None
     if mjcf.of_urdf:
         links = [model.body(body).name for body in np.unique(bodies[geoms])]

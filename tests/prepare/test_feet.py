@@ -146,6 +146,19 @@ def test_visual_geoms_beside_collision_geoms_are_no_reason_for_missing_feet(tmp_
     assert caught.value.cause.code == "limbs-aside"
 
 
+def test_visual_geoms_of_hands_are_no_reason_for_feet_without_geoms(tmp_path: Path) -> None:
+    """H1 with sites instead of geoms at the feet: the message named the hands."""
+    hand = (
+        '<body name="hand" pos="0 0 0.2"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        '<joint name="wrist" range="-1 1"/>'
+        '<geom type="sphere" size="0.01" contype="0" conaffinity="0"/></body></body></worldbody>'
+    )
+    path = biped(tmp_path, '<site pos="0 0 -0.05"/>').mjcf
+    rewrite_file(path, ("</body></worldbody>", hand))
+    with pytest.raises(pa.ModelError, match="add collision geoms to the feet"):
+        pa.load_robot(mjcf=path)
+
+
 _SOLE_ABOVE = '<geom type="box" size="0.09 0.04 0.01" pos="0.03 0 0.05"/>'
 """Sole of a biped whose legs point upward."""
 
