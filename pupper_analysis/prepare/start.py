@@ -778,17 +778,24 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 
 
 def _list_objections(
-    robot: Robot, name: str, joints: Mapping[str, float]
+    robot: Robot, name: str, joints: Mapping[str, float], *, stands: bool
 ) -> tuple[Diagnostic, ...]:
-    """Return the reason against a keyframe from which the unmodified file stands: one message.
+    """Return the reason against a keyframe: at most one message.
 
-    ``joints`` is {joint: position [rad, m]} of the keyframe.
+    Args:
+        robot: Robot with feet.
+        name: Name of the keyframe.
+        joints: {joint: position [rad, m]} of the keyframe.
+        stands: Whether the unmodified file stands from the keyframe. If not, only joints beyond
+            their limits are reported.
     """
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
     excess = np.abs(values - clip_to_limits(robot, joints))
     beyond = np.flatnonzero(excess > _LIMIT_ATOL)
     if not beyond.size:
+        if not stands:
+            return ()
         even = is_standing_pose(robot, joints)
         note_code = "keyframe-without-stand" if even else "keyframe-feet-uneven"
         return (diagnose(note_code, subject=subject),)
@@ -796,7 +803,14 @@ def _list_objections(
     worst = int(np.argmax(excess))
     most = Quantity(float(excess[worst]), joint_unit(robot, robot.joint_names[worst]))
     return (
-        diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=most, used=False),
+        diagnose(
+            "keyframe-beyond-limits",
+            subject=subject,
+            joints=names,
+            excess=most,
+            stands=stands,
+            used=False,
+        ),
     )
 
 
@@ -828,7 +842,11 @@ def find_start_pose(
     against: list[Diagnostic] = []
     if found is None and rest_depth is not None:
         depths = {name: depth for name in known if (depth := rest_depth(name)) is not None}
-        against = [note for name in depths for note in _list_objections(robot, name, known[name])]
+        against = [
+            note
+            for name, joints in known.items()
+            for note in _list_objections(robot, name, joints, stands=name in depths)
+        ]
         clipped = {
             name: dict(
                 zip(robot.joint_names, clip_to_limits(robot, known[name]).tolist(), strict=True)

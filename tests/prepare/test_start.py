@@ -161,6 +161,26 @@ def test_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -
 
 
 @pytest.mark.slow
+def test_joints_of_a_reversed_keyframe_beyond_their_limits_are_named(tmp_path: Path) -> None:
+    """The keyframe with the opposite signs bends the knees the wrong way. Motors hold no pose.
+
+    H1: the message was only that there was no keyframe with which a level stand exists.
+    """
+    pair = standing(tmp_path)
+    rewrite_file(pair.mjcf, (" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 -0.6 1.2"] * 4)))
+    motors = re.sub(
+        r'<position ([^>]*?) kp="[^"]*" kv="[^"]*"', r"<motor \1", pair.mjcf.read_text()
+    )
+    pair.mjcf.write_text(motors)
+    robot = pa.load_robot(*pair)
+    (beyond,) = [note for note in robot.notes if note.code == "keyframe-beyond-limits"]
+    assert beyond.values["joints"] == tuple(f"{leg}_knee" for leg in ("FL", "FR", "RL", "RR"))
+    assert beyond.values["excess"].value == pytest.approx(1.2 + 0.4)
+    assert "stands from this keyframe" not in str(beyond)
+    assert "start-pose-found" in {note.code for note in robot.notes}
+
+
+@pytest.mark.slow
 def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) -> None:
     """Reference: bare MuJoCo stands from the keyframe, whose knees are at their limits.
 
