@@ -165,12 +165,11 @@ def _level_floor(
     floors.insert(0, floors.pop(chosen))
     tilted, raised = not level[chosen], abs(heights[chosen]) >= _LEVEL_ATOL
     tilt = float(np.arccos(np.clip(cosines[chosen], -1.0, 1.0)))
-    note = diagnose(
-        "floor-laid-level",
-        tilt=Quantity(tilt, "rad") if tilted else None,
-        height=Quantity(heights[chosen], "m") if raised else None,
-        both=tilted and raised,
-    )
+    height = Quantity(heights[chosen], "m") if raised else None
+    if tilted:
+        note = diagnose("tilted-floor-laid-level", tilt=Quantity(tilt, "rad"), height=height)
+    else:
+        note = diagnose("floor-laid-level", height=height)
     old, new = floors[0], add_geom(spec.worldbody)
     for word in (*GEOM_CONTACT_WORDS, "type", "size", "material", "rgba"):
         setattr(new, word, getattr(old, word))
