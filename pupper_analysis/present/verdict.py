@@ -348,30 +348,40 @@ def judged_document(
     )
 
 
-def verdict_word(verdict: Verdict) -> Text:
+def verdict_word(verdict: Verdict, *, ideal_servos: bool = False) -> Text:
     """Return the word that displays a verdict (HOLDS, FAILS ...), in English and Chinese.
 
-    A good verdict gets a restriction if one model was converted from the other.
+    A good verdict gets the restrictions of `qualify_verdict_word`.
     """
-    return qualify_verdict_word(get_verdict_key(verdict), verdict.converted)
+    return qualify_verdict_word(
+        get_verdict_key(verdict), verdict.converted, ideal_servos=ideal_servos
+    )
 
 
-def qualify_verdict_word(key: str, converted: str) -> Text:
-    """Add a restriction to the word of a good verdict if URDF or MJCF was converted from the other.
+def qualify_verdict_word(key: str, converted: str, *, ideal_servos: bool = False) -> Text:
+    """Add restrictions to the word of a good verdict: a single model file, and ideal servos.
 
-    The agreement of such models proves nothing.
+    The agreement of two models proves nothing if one was converted from the other.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
         converted: Model that was converted from the other model, ``urdf`` or ``mjcf``; empty if
             none was converted.
+        ideal_servos: Whether the simulated servos would be unstable as an explicit PD controller,
+            because of their damping. MuJoCo integrates them implicitly.
     """
     word = text(key)
-    if converted and key == _QUALIFIED_KEY:  # the restriction leaves no room for the long form
+    if key in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN") or not (converted or ideal_servos):
+        return word
+    if key == _QUALIFIED_KEY:  # the restriction leaves no room for the long form
         word = replace(word, short=text("HOLDS with feed-forward, in short").en)
-    good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
-    return (
-        text("verdict-from-one-file", word=word, file=name_only_format(converted)) if good else word
+    return text(
+        "qualified-verdict",
+        word=word,
+        file=name_only_format(converted),
+        single=bool(converted),
+        ideal=ideal_servos,
+        both=bool(converted) and ideal_servos,
     )
 
 

@@ -212,3 +212,18 @@ def test_restricted_verdict_has_a_short_form_that_leaves_room_for_the_answer() -
     assert word.en == "HOLDS only with gravity compensation (URDF only)"
     assert word.short == "HOLDS if compensated (URDF only)"
     assert qualify_verdict_word("HOLDS with feed-forward", "").short == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "converted", "english", "chinese"),
+    [
+        ("HOLDS", "mjcf", "HOLDS (URDF only; ideal servos)", "保持稳定（仅据 URDF；理想伺服）"),
+        ("HOLDS", "", "HOLDS (ideal servos)", "保持稳定（理想伺服）"),
+        ("FAILS", "mjcf", "FAILS", "未能保持"),
+    ],
+)
+def test_good_verdict_states_ideal_servos(
+    key: str, converted: str, english: str, chinese: str
+) -> None:
+    word = qualify_verdict_word(key, converted, ideal_servos=True)
+    assert (get_english(word), word.zh) == (english, chinese)

@@ -183,7 +183,11 @@ def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[
 def _make_verdict_word(analysis: Analysis) -> doc.Text:
     """Return the word that is displayed as the verdict, such as VERIFIED or FAILED."""
     key = _get_verdict_key(analysis.verified, analysis.sagging.passed)
-    return qualify_verdict_word(key, analysis.verdict.converted)
+    return qualify_verdict_word(
+        key,
+        analysis.verdict.converted,
+        ideal_servos=exceeds_explicit_damping(analysis.servos),
+    )
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:

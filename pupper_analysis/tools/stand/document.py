@@ -44,7 +44,7 @@ from pupper_analysis.present.documents.standing import (
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.present.verdict import judged_document, verdict_word
 from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
@@ -171,6 +171,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         else (*(soft if stance.passed else ()), *(() if gains and gains[0] in causes else gains)),
         causes=causes,
         details=tuple(_list_details(stance)),
+        word=verdict_word(stance.verdict, ideal_servos=exceeds_explicit_damping(stance.servos)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
     )

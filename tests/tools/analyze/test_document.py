@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from pupper_analysis.present.document import get_english
 from pupper_analysis.tools.analyze.document import analysis_document
-from tests.support.stubs import ANALYSIS, SERVOS, Stub, judge_stance, run
+from tests.support.stubs import ANALYSIS, SERVO_BOUNDS, SERVOS, Stub, judge_stance, run
+
+
+def test_verdict_names_servos_with_too_much_damping() -> None:
+    """`gains` reports UNSTABLE for these servos. Reference: a damping of twice its bound."""
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS)
+    for factor, ideal in ((2.0, False), (0.5, True)):
+        bounds = Stub(**{**vars(SERVO_BOUNDS), "largest_kd_factor": factor, "uniform": True})
+        bounds.units = SERVO_BOUNDS.units
+        values = {**vars(ANALYSIS), "verdict": verdict, "verified": True, "servos": bounds}
+        document = analysis_document(Stub(**values))
+        assert document.verdict is not None
+        assert get_english(document.verdict).endswith("(ideal servos)") is ideal
 
 
 def test_bad_verdict_on_the_stand_is_the_reason_without_other_failures() -> None:

@@ -40,17 +40,19 @@ def hold_stance(largest_kd_factor: float) -> object:
 
 
 @pytest.mark.parametrize(
-    ("factor", "command", "damping"),
+    ("factor", "verdict", "command", "damping"),
     [
-        (0.56, "gains", "kd 16 N m s/rad (unstable on a 500 Hz PD: max 9)"),
-        (1.5, "payload", "kd 16 N m s/rad (max 24)"),
+        (0.56, "(ideal servos)", "gains", "kd 16 N m s/rad (unstable on a 500 Hz PD: max 9)"),
+        (1.5, "", "payload", "kd 16 N m s/rad (max 24)"),
     ],
 )
 def test_damping_beyond_an_explicit_controller_leads_to_the_gains(
-    factor: float, command: str, damping: str
+    factor: float, verdict: str, command: str, damping: str
 ) -> None:
     """Reference: 16 N m s/rad times the factor. `gains` reports UNSTABLE for such a damping."""
     document = stance_document(hold_stance(factor))
+    assert document.verdict is not None
+    assert get_english(document.verdict) == f"HOLDS {verdict}".strip()
     assert document.next_step is not None
     assert document.next_step.command == command
     (line,) = [line for line in document.findings if getattr(line, "short", "").startswith("kp ")]
