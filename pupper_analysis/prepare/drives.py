@@ -36,7 +36,7 @@ from pupper_analysis.models.transmission import Drive, MadeServo, classify_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare import notes, start
-from pupper_analysis.prepare.notes import describe_span
+from pupper_analysis.prepare.notes import describe_spans
 from pupper_analysis.prepare.own_run import settles_in_place
 from pupper_analysis.prepare.published_model import compile_published_model
 from pupper_analysis.prepare.servo_tuning import (
@@ -45,7 +45,7 @@ from pupper_analysis.prepare.servo_tuning import (
     suggest_standing_gains,
 )
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.joints import get_common_units
+from pupper_analysis.robot.joints import get_joint_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.simulation.settling import calms_after_base_nudges, comes_to_rest
@@ -429,7 +429,7 @@ def _report_added_servos(
         return recorded, []
     num_passive = len(robot.description.passive_joints)
     num_own = robot.nu - len(added) - num_passive - len(list_dependent_joints(robot))
-    units = get_common_units(robot, [servo.joint for servo in added])
+    units = [get_joint_units(robot, servo.joint) for servo in added]
     timestep = built.mj_model.opt.timestep
     return recorded, [*notes.report_added_servos(added, num_own, timestep, units)]
 
@@ -512,12 +512,11 @@ def make_missing_servos(
     dependent = {robot.joint_names[joint] for joint in list_dependent_joints(robot)}
     excluded = {*(list_position_servos(robot) if own is None else own), *dependent}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in excluded]
-    units = get_common_units(robot, [robot.joint_names[index] for index in missing])
-    stiffness = describe_span(kp[missing], units.stiffness)
+    units = [get_joint_units(robot, robot.joint_names[index]) for index in missing]
     message = diagnose(
         "servos-made",
-        kp=stiffness,
-        kd=describe_span(kd[missing], units.damping),
+        kp=describe_spans(kp[missing].tolist(), [unit.stiffness for unit in units]),
+        kd=describe_spans(kd[missing].tolist(), [unit.damping for unit in units]),
         timestep=Quantity(timestep, "s"),
     )
     additions: list[Addition] = [

@@ -193,7 +193,7 @@ def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_added_servos(
-    servos: Sequence[MadeServo], own: int, timestep: float, units: JointUnits
+    servos: Sequence[MadeServo], own: int, timestep: float, units: Sequence[JointUnits]
 ) -> Iterator[Diagnostic]:
     """Yield messages about servos that the preparation added, and about servos that they replace.
 
@@ -203,7 +203,7 @@ def report_added_servos(
         servos: Added servos, at least one.
         own: Number of joints with a servo in the MJCF, which the preparation keeps.
         timestep: Time step of the model with the added servos [s].
-        units: Units of the gains.
+        units: Units of the gains of each added servo.
     """
     bad: dict[str, list[str]] = {}
     for servo in servos:
@@ -216,8 +216,8 @@ def report_added_servos(
         count=len(servos),
         bad=bool(bad),
         some=bool(own) and not bad,
-        kp=describe_span([servo.kp for servo in servos], units.stiffness),
-        kd=describe_span([servo.kd for servo in servos], units.damping),
+        kp=describe_spans([servo.kp for servo in servos], [unit.stiffness for unit in units]),
+        kd=describe_spans([servo.kd for servo in servos], [unit.damping for unit in units]),
         timestep=Quantity(timestep, "s"),
     )
 
@@ -243,6 +243,24 @@ def report_play_joints(robot: Robot) -> Iterator[Diagnostic]:
     names = tuple(model.joint(joint).name for joint in list_play_joints(model))
     if names:
         yield diagnose("joints-are-play", joints=names)
+
+
+def describe_spans(values: Sequence[float], units: Sequence[str]) -> Diagnostic:
+    """Create the part of a message that states the range of values of each unit.
+
+    For example "50 to 2700 N m/rad and 2000 N/m", for hinges and slides.
+
+    Args:
+        values: Values, at least one.
+        units: Unit of each value: at most two different units.
+    """
+    spans = [
+        describe_span(
+            [value for value, own in zip(values, units, strict=True) if own == unit], unit
+        )
+        for unit in dict.fromkeys(units)
+    ]
+    return spans[0] if len(spans) == 1 else diagnose("spans", first=spans[0], second=spans[1])
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:

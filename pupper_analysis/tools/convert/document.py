@@ -137,23 +137,30 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
         yield text("not-converted-in-short", first=doc.diagnostic_text(first), more=len(others))
 
 
-def _format_added_gains(conversion: Conversion) -> dict[str, str]:
+def _format_added_gains(conversion: Conversion) -> dict[str, doc.Words | str]:
     """Return kp and kd of the added servos: with unit, as a number, and the unit; empty without.
 
-    For example {"kp": "320 N m/rad", "kp_number": "320", "kp_unit": "N m/rad"}.
+    For example {"kp": "320 N m/rad", "kp_number": "320", "kp_unit": "N m/rad"}. The numbers of
+    hinges and slides together have their units.
     """
     codes = ("servos-added", "servos-made")
     added = next((note for note in conversion.notes if note.code in codes), None)
-    gains = {f"{gain}{part}": "" for gain in ("kp", "kd") for part in ("", "_number", "_unit")}
+    gains: dict[str, doc.Words | str] = {
+        f"{gain}{part}": "" for gain in ("kp", "kd") for part in ("", "_number", "_unit")
+    }
     for gain in ("kp", "kd") if added is not None else ():
         span = added.values[gain]  # type: ignore[union-attr]
-        if isinstance(span, Diagnostic):
+        if isinstance(span, Diagnostic) and span.code == "spans":  # hinges and slides
+            gains |= dict.fromkeys((gain, f"{gain}_number"), doc.diagnostic_text(span))
+        elif isinstance(span, Diagnostic):
             low, high = span.values["least"], span.values["most"]
             wide = (
                 f"..{high.value:.4g}" if span.values["wide"] and isinstance(high, Quantity) else ""
             )
             unit = str(high.unit) if isinstance(high, Quantity) else ""
-            gains |= {gain: str(span), f"{gain}_number": f"{low:.4g}{wide}", f"{gain}_unit": unit}
+            number = f"{low:.4g}{wide}"
+            gains |= {gain: doc.diagnostic_text(span), f"{gain}_number": number}
+            gains[f"{gain}_unit"] = unit
     return gains
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.present.document import get_english
+from pupper_analysis.prepare.notes import describe_span, describe_spans
+from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.tools.convert.document import (
     _describe_checks,
     _describe_recovery,
@@ -62,6 +62,33 @@ def get_short_findings(conversion: Any) -> list[str]:
     return [
         getattr(part, "short", "") or get_english(part) for part in _describe_checks(conversion)
     ]
+
+
+def test_gains_of_hinges_and_slides_are_stated_apart() -> None:
+    """Panda: kp was "53.3 to 2660 N m/rad or N/m" for seven hinges and a slide of the hand."""
+    note = diagnose(
+        "servos-made",
+        kp=describe_spans([200.0, 2660.0, 53.3], ["N m/rad", "N m/rad", "N/m"]),
+        kd=describe_spans([4.0, 65.8, 1.78], ["N m s/rad", "N m s/rad", "N s/m"]),
+        timestep=Quantity(0.002, "s"),
+    )
+    converted = SimpleNamespace(
+        source="arm.urdf",
+        agree=True,
+        repairs=(),
+        notes=(note,),
+        not_converted=(),
+        comparison=SimpleNamespace(differences=(), deviations={"com": 1e-16}),
+        verification=None,
+    )
+    _, line = _describe_checks(converted)
+    assert isinstance(line, Text)
+    assert line.short == (
+        "servos added (kp 200 to 2660 N m/rad and 53.3 N/m, kd 4 to 65.8 N m s/rad and 1.78 N s/m)"
+    )
+    assert line.zh == (
+        "添加了伺服（kp 200 至 2660 N m/rad 和 53.3 N/m，kd 4 至 65.8 N m s/rad 和 1.78 N s/m）"
+    )
 
 
 def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> None:
