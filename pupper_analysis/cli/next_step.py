@@ -249,7 +249,8 @@ def complete_fixed_base_command(running_command: str) -> str:
         running_command: Name of the refused command.
     """
     context = click.get_current_context(silent=True)
-    if running_command == "live" and context is not None and context.params.get("headless"):
+    modes = {} if context is None else context.params
+    if running_command == "live" and (modes.get("headless") or modes.get("dropped")):
         return complete_command(NextStep("live", ("--mujoco",), omitted=("--drop",)))
     words = _WORDS_FOR_FIXED_BASE.get(running_command)
     if words is None:

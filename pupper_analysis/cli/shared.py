@@ -167,7 +167,8 @@ A short report with a single document prints this number below the results."""
 
 
 _FIXED_BASE_CODES = (
-    *("base-is-fixed", "base-is-welded", "page-of-fixed-base", "stands-of-fixed-base"),
+    *("base-is-fixed", "base-is-welded", "drop-of-fixed-base", "page-of-fixed-base"),
+    "stands-of-fixed-base",
     *("gains-of-fixed-base", "heat-of-fixed-base", "range-of-fixed-base", "walk-of-fixed-base"),
     "no-feet",
 )

@@ -204,7 +204,9 @@ def test_audit_with_missing_meshes_names_the_folder_of_their_package(tmp_path: P
          "gains {path} --payload 1kg --delay 1ms --contact base=weld"),
         ("live --no-browser", "hold {path}"),
         ("live --drop --headless", "live {path} --headless --mujoco"),
+        ("live --drop", "live {path} --mujoco"),
         ("walk policy.pt", "hold {path}"),
+        ("walk", "hold {path}"),
         ("fit --stands none.csv --weight 1kg", "fit {path} --log motion.csv"),
         ("push --contact base=weld", "hold {path}"),
         ("payload --contact base=weld", "hold {path}"),
@@ -224,6 +226,8 @@ def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(
     status, _, err = run_command(capfd, name, str(path), *options)
     assert status == 2
     assert err.splitlines()[-1] == f"  next: pupper-analysis {expected.format(path=path)}"
+    if "--drop" in typed:  # the answer advised `hold`, and the next command was `live`
+        assert "cannot be dropped; --mujoco" in err
 
 
 @pytest.mark.parametrize("typed", ["fit --plan 3 -o plan.csv", "heat", "gains", "workspace"])

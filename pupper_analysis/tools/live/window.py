@@ -205,7 +205,7 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
         ConfigurationError: If the base is fixed.
         DisplayError: If no window can be opened.
     """
-    robot.check_floating()
+    robot.check_floating("drop-of-fixed-base")
     if not headless:
         display.show_window(robot.mj_model, make_home_data(robot))
     result = simulate_drop(robot)

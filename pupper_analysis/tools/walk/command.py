@@ -185,14 +185,15 @@ def command(
     words, sources = split_sources(words)
     click.get_current_context().meta[shared.ROBOT_WORDS] = words
     source = which.select_robot(words) or "v3"
-    policy_path, sources = select_policy(policy, sources)
     is_drawn = report_path is not None
     robot = load_walking_robot(source, style, everything=everything, visuals=is_drawn)
+    if not init:
+        robot.check_floating("walk-of-fixed-base")
+    policy_path, sources = select_policy(policy, sources)
     deployment = read_deployment(robot, sources, policy_path) if sources else None
     if init:
         _write_first_contract(policy_path, robot, deployment)
         return
-    robot.check_floating("walk-of-fixed-base")
     with _explain_missing_key(policy_path, contract, sources):
         loaded_policy = Policy.load(policy_path, contract, deployment)
     assigned, torque_limits = _parse_motor_limits(motors, effort, robot)

@@ -76,10 +76,11 @@ def test_policy_on_a_fixed_base_is_refused_before_its_observations(
         '<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
         '<actuator><position joint="turn" kp="5"/></actuator></mujoco>'
     )
-    status, _, err = run_command(capfd, "walk", str(arm), "--policy", str(policy))
-    assert status == 2
-    assert "has a fixed base" in err
-    assert err.splitlines()[-1] == f"  next: pupper-analysis hold {arm}"
+    for options in (("--policy", str(policy)), ()):
+        status, _, err = run_command(capfd, "walk", str(arm), *options)
+        assert status == 2
+        assert "has a fixed base" in err
+        assert err.splitlines()[-1] == f"  next: pupper-analysis hold {arm}"
 
 
 @pytest.mark.slow
