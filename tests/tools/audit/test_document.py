@@ -205,7 +205,10 @@ def test_answer_names_the_exchanged_limits_first_and_counts_equal_findings(tmp_p
     text = path.read_text().replace('izz="0.001"', 'izz="0.02"')
     path.write_text(text)
     lines = answer("audit", "a.urdf", folder=tmp_path).stdout.splitlines()
-    assert lines[1] == "  first: left_shank and 3 more: triangle inequality violated by 90 %"
+    assert (
+        lines[1]
+        == "  first: left_shank and 3 more: inertia violates the triangle inequality by 90 %"
+    )
     path.write_text(text.replace('lower="-1" upper="1"', 'lower="1" upper="-0.5"', 1))
     lines = answer("audit", "a.urdf", folder=tmp_path).stdout.splitlines()
     assert lines[1].startswith("  first: left_knee: lower limit is 57.2958")
