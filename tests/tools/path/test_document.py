@@ -56,6 +56,6 @@ def test_short_answer_states_tracking_errors_then_the_motor_with_the_largest_loa
     error = math.degrees(result.tracking.joint_error)
     height = 1e3 * result.tracking.height_error
     first, second = printed(path_document(result), width=200, everything=False).splitlines()[:2]
-    expected = f"joint error {error:.2g} deg, height {height:.1f} mm, load 32.1 %"
+    expected = f"joint error {error:.2g} deg, height error {height:.1f} mm, load 32.1 %"
     assert first.endswith(expected)
     assert second.startswith("  motor load 32.1 % of the limit: knee at 1.23 s")
