@@ -844,7 +844,8 @@ def find_start_pose(
         depths = {name: depth for name in known if (depth := rest_depth(name)) is not None}
         against = [
             note
-            for name, joints in known.items()
+            for number, (name, joints) in enumerate(known.items())
+            if name in depths or number == 0  # other keyframes may be no stands, such as "down"
             for note in _list_objections(robot, name, joints, stands=name in depths)
         ]
         clipped = {
