@@ -196,7 +196,8 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         "mass-kg-peak-torque-torque",
         mass=doc.format_widened(analysis.total_mass, ".3f"),
         ground=ground_word(analysis.stand.depths.values()),
-        simulated=analysis.verified,
+        # Beside the verdict on ideal servos, the line has no more room.
+        simulated=analysis.verified and not exceeds_explicit_damping(analysis.servos),
         **format_peak_load(analysis.statics),
     )
     yield text(

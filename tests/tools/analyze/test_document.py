@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pupper_analysis.present.document import get_english
+from pupper_analysis.present.document import Text, get_english
 from pupper_analysis.tools.analyze.document import analysis_document
 from tests.support.stubs import ANALYSIS, SERVO_BOUNDS, SERVOS, Stub, judge_stance, run
 
@@ -17,6 +17,10 @@ def test_verdict_names_servos_with_too_much_damping() -> None:
         document = analysis_document(Stub(**values))
         assert document.verdict is not None
         assert get_english(document.verdict).endswith("(ideal servos)") is ideal
+        (load,) = [line for line in document.findings if getattr(line, "short", "")[:5] == "load "]
+        assert isinstance(load, Text)
+        assert load.short.endswith(", as simulated") is not ideal  # the answer of Go2 was cut
+        assert load.short_zh.startswith("负载 ")
 
 
 def test_bad_verdict_on_the_stand_is_the_reason_without_other_failures() -> None:
