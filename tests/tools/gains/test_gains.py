@@ -512,3 +512,11 @@ def test_verdict_on_gains_that_differ_states_values_and_factors() -> None:
     expected = "added kp 53.3..2660 (times 0.0135 or more), kd 1.03..65.8 (times 1.93 or less)"
     assert line == expected
     assert len(f"STABLE panda.urdf: {line}") <= MAX_ANSWER_WIDTH
+
+
+def test_chinese_short_answer_names_one_joint_and_the_frequency() -> None:
+    """The Chinese line listed all joints, and was cut before the recommended gains."""
+    values = {"rate": "500", "delay": "0", "frequency": "250", "time": "8", "first": "hip"}
+    joints = ("FR_hip", "FL_hip", "RR_hip")
+    line = text("gains-oscillate", **values, joints=joints, present="", delayed=False)
+    assert line.short_zh == "500 Hz PD：振荡关节 FR_hip，另有 2 个（250 Hz）"

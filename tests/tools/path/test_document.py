@@ -50,6 +50,14 @@ def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
         assert len(f"TRACKED (URDF only) go2_description: {line}") <= MAX_ANSWER_WIDTH
 
 
+def test_chinese_answer_states_the_same_numbers_as_the_english_answer() -> None:
+    """The first Chinese line stated only the duration of the path."""
+    numbers = {"error": "0.16 deg", "height": "0.1", "share": "27", "place": "", "joint": "knee"}
+    line = text("path-in-short", **numbers, seconds="4", still=False, zero=False, unknown=False)
+    assert line.short == "joint error 0.16 deg, height error 0.1 mm, load 27 %"
+    assert line.short_zh == "关节误差 0.16 deg，高度误差 0.1 mm，负载 27 %"
+
+
 def test_short_answer_states_tracking_errors_then_the_motor_with_the_largest_load() -> None:
     """References: errors and peak load of the result, in degrees, mm and percent."""
     result = make_path_result()
