@@ -388,21 +388,21 @@ def _fail_if_upset(
 ) -> Outcome:
     """Mark a simulation as failed if the stand fails after a nudge; return the result.
 
-    A nudge is an initial velocity of the base. If ``trial`` is None, the stand may be nudged here.
-    ``fragile`` is True for a stand that fails without feed-forward.
+    A nudge is an initial velocity of the base. ``trial`` is the result of ``simulate_nudges``; if
+    None, the stand is nudged here if necessary. ``fragile`` is True for a stand that fails without
+    feed-forward.
     """
     speed = BASE_NUDGE_SPEED
-    if trial is None:
-        if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
-            return fed
+    # Stiff servos saturate at small deviations, and may shake after large nudges.
+    is_open = trial is None or (trial.survived and saturates_after_nudge(robot, statics, kp))
+    if is_open and statics.com_margin is not None and not robot.is_base_fixed:
         held = solve_stand_as_simulated(robot, stand)
-        if fragile or is_near_limit(robot, held, statics, kp):
+        if trial is None and (fragile or is_near_limit(robot, held, statics, kp)):
             trial = simulate_nudges(robot, held, kp=kp, kd=kd)
-        # Stiff servos saturate at small deviations, and may shake after large nudges.
         stiff = trial is not None and trial.survived and saturates_after_nudge(robot, statics, kp)
         if trial is None or stiff:
             trial, speed = simulate_large_nudges(robot, held, kp=kp, kd=kd), LARGE_NUDGE_SPEED
-    if trial.failure is None:
+    if trial is None or trial.failure is None:
         return fed
     moment = Quantity(trial.time or 0.0, "s")
     if trial.shaking_speed is not None:
