@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.best import first_order
 from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
+from tests.support.legged import biped
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -67,3 +70,35 @@ def test_servos_too_soft_without_payload_give_no_rows() -> None:
     place = find_place(robot, (0.0, 0.0, 0.0))
     assert SmallPayload(robot, place, np.full(12, 0.5)).compute_rows(stand) is None
     assert SmallPayload(robot, place, np.full(12, 5.0)).compute_rows(stand) is not None
+
+
+def test_sole_may_tilt_although_its_points_sink_by_different_depths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the same stand with equal depths of all points of the soles.
+
+    With depths that differ by up to 0.1 um, soles that tilted counted as sliding. The ankles did
+    not buckle, and ``best payload`` of H1 ended with an error, because neighbouring stances had
+    different numbers of rows.
+    """
+    pair = biped(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    stand = pa.solve_stand(robot)
+    kp = np.full(robot.nu, 3 * robot.weight * robot.stand_height)
+    small = SmallPayload(robot, find_place(robot, (0.0, 0.0, 0.1)), kp)
+    compute_modes = first_order._compute_buckling_modes
+
+    found = []
+    for difference in (0.0, 1e-7):
+
+        def compute_with_depths(*arguments: Any, difference: float = difference) -> Any:
+            *others, depths = arguments
+            steps = difference * np.arange(len(depths)) / len(depths)
+            return compute_modes(*others, depths.mean() + steps)
+
+        monkeypatch.setattr(first_order, "_compute_buckling_modes", compute_with_depths)
+        found.append(small.compute_rows(stand))
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].shape == found[1].shape
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3, atol=1e-9)
