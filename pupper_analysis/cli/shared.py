@@ -188,6 +188,23 @@ _WELDED_BASE_CODES = ("robot-is-welded", "payload-on-fixed-base")
 `Command.invoke` adds the command line of `hold`, which computes torques and payloads of such a
 robot."""
 
+_EFFORT_LIMIT_CODES = ("no-effort-limits", "effort-limit-is-zero")
+"""Codes of errors about torque limits that an optimisation requires. `Command.invoke` adds the
+command line of `audit`, which lists the joints without a limit."""
+
+
+def _complete_command_after_refusal(code: str, *, welds: bool) -> str:
+    """Return the command line to suggest after an error with a code; empty if there is none.
+
+    ``welds`` states that the command welds the base.
+    """
+    from pupper_analysis.cli.next_step import complete_command
+    from pupper_analysis.present.document import NextStep
+
+    if code in _UNWELDABLE_CODES or (code in _WELDED_BASE_CODES and welds):
+        return complete_command(NextStep("hold", omitted=("--contact",)))
+    return complete_command(NextStep("audit")) if code in _EFFORT_LIMIT_CODES else ""
+
 
 LANGUAGE_VARIABLE: Final = "PUPPER_ANALYSIS_LANGUAGE"
 """Environment variable with the default of the option ``--language``."""
@@ -416,11 +433,8 @@ class Command(click.Command):
                 error.add_note(complete_fixed_base_command(str(self.name)))
             refused = problem.code if isinstance(problem, Diagnostic) else ""
             welds = "base=weld" in (context.params.get("contacts") or ())
-            if refused in _UNWELDABLE_CODES or (refused in _WELDED_BASE_CODES and welds):
-                from pupper_analysis.cli.next_step import complete_command
-                from pupper_analysis.present.document import NextStep
-
-                error.add_note(complete_command(NextStep("hold", omitted=("--contact",))))
+            if line := _complete_command_after_refusal(refused, welds=welds):
+                error.add_note(line)
             if named := self._rename_field(context, error):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)

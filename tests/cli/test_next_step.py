@@ -24,6 +24,7 @@ from pupper_analysis.tools.audit.document import audit_document
 from tests.prepare.test_imported import four_legs
 from tests.support import arm
 from tests.support.commands import answer, run_command
+from tests.support.legged import biped, rewrite_file
 from tests.support.repository import ROOT
 from tests.support.robots import quadruped, urdf_text
 
@@ -429,3 +430,15 @@ def test_options_of_a_task_are_parsed_to_the_same_task() -> None:
         given, found = getattr(task, attribute), getattr(made, attribute)
         assert repr(found) == repr(given) or found == pytest.approx(given, rel=1e-9)
     assert format_as_options(task, ["contacts"]) == {}
+
+
+def test_best_without_torque_limits_names_audit(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The error stated no next command. Reference: the code of the error, and the typed file."""
+    mjcf = biped(tmp_path).mjcf
+    rewrite_file(mjcf, (' ctrlrange="-80 80"', ""), count=12)
+    status, _, err = run_command(capfd, "best", "payload", str(mjcf), "--kp", "300", "--kd", "3")
+    assert status == 2
+    assert "has an effort limit: set limits with --effort [JOINTS=]NM" in err
+    assert f"next: pupper-analysis audit {mjcf}" in err
