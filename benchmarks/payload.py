@@ -1,8 +1,8 @@
 """Payload of each variant: `python benchmarks/payload.py` prints a table.
 
 For the nominal and the best stance, the table contains the bounds by motors, servos and reach; the
-smallest is the payload. MuJoCo then simulates 0.97 times this payload for 12 s, with
-nudges in all directions. At most half a minute per variant.
+smallest is the payload. MuJoCo then simulates this payload for 12 s, with nudges in
+all directions. At most half a minute per variant.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def describe_trial(trial: PayloadTrial | None) -> str:
 @click.argument("names", nargs=-1)
 def main(names: tuple[str, ...]) -> None:
     """Compute the payloads of variants, and simulate them."""
-    table = Table("variant", "stance", "motors", "servos", "reach", "then", "at 0.97")
+    table = Table("variant", "stance", "motors", "servos", "reach", "then", "nudged")
     for name in names or pa.VARIANTS:
         robot = pa.load_variant(name)
         best = pa.best_stance(robot, pa.stance.Objective.PAYLOAD)

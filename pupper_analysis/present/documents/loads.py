@@ -93,7 +93,7 @@ def limit_cell(limit: float, form: str = "g") -> doc.Cell:
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Format the largest payload mass [kg], rounded down to 0.01 kg, below 0.1 kg to two digits.
+    """Format the largest payload mass [kg], rounded down by `round_mass`.
 
     NaN is formatted as "unknown", infinity as "no limit".
     """
@@ -101,9 +101,13 @@ def mass_text(mass: float) -> doc.Words:
         return text("limit-unknown")
     if math.isinf(mass):
         return text("no-limit")
-    if 0 < mass < 0.1:
-        return doc.Name(f"{format_number(round_down(mass, 2), '.2g')} kg")
-    return doc.Name(f"{floor_within_rounding(100 * mass) / 100:.2f} kg")
+    shown = round_mass(mass)
+    return doc.Name(f"{format_number(shown, '.2g' if 0 < shown < 0.1 else '.2f')} kg")
+
+
+def round_mass(mass: float) -> float:
+    """Round a finite payload mass [kg] down to 0.01 kg, below 0.1 kg to two digits."""
+    return round_down(mass, 2) if mass < 0.1 else floor_within_rounding(100 * mass) / 100
 
 
 def proof_text(verification: StandVerification) -> doc.Text:

@@ -33,8 +33,9 @@ def command(
 
     The payload is a point mass at --payload-at, in addition to --payload: the largest mass with
     which `stand --payload` holds. Reach and contacts, motor torques and servo stiffness each set a
-    bound. If the CoM must be above the feet, the base shifts with the load. With 97 % of the
-    smallest bound the robot is judged as by `stand`, and simulated with twelve nudges of the base.
+    bound. If the CoM must be above the feet, the base shifts with the load. With the smallest
+    bound the robot is judged as by `stand`, and simulated with twelve nudges of the base. If it
+    fails, the payload is the largest mass that holds in simulation, found to 1 %.
     Robot and stance are given as for `stand`.
 
     The effort limits in the files are taken as peak torques: the payload can be carried for

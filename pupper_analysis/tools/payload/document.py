@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from pupper_analysis.base.diagnostics.templates import format_number
-from pupper_analysis.base.units import round_down
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
-from pupper_analysis.present.documents.loads import mass_text, view_block
+from pupper_analysis.present.documents.loads import mass_text, round_mass, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -34,7 +33,7 @@ from pupper_analysis.present.verdict import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
-from pupper_analysis.tools.payload.limit import VERIFIED_FRACTION, Bound, PayloadLimit, PayloadTrial
+from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTrial
 
 
 @build_document.register(PayloadLimit)
@@ -85,13 +84,24 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
         loaded = limit.carried > 0
         step = NextStep("payload", omitted=("--payload",)) if loaded else NextStep("stand")
         return select_step_after_failure(limit.verdict, step)
-    smallest = min(limit.bounds, key=lambda name: limit.bounds[name].mass)
-    step = _NEXT_STEPS.get(smallest, NextStep("push"))
-    mass = VERIFIED_FRACTION * limit.upper_bound
+    step = _NEXT_STEPS.get(_find_limiting_bound(limit), NextStep("push"))
+    mass = limit.upper_bound
     if step.command == "best" or not 0 < mass < math.inf:
         return step
-    payload = limit.carried + round_down(mass, 2)
+    payload = limit.carried + round_mass(mass)
     return replace(step, words=(*step.words, "--payload", f"{payload:.6g}kg"))
+
+
+def _find_limiting_bound(limit: PayloadLimit) -> str:
+    """Return the name of the smallest payload bound.
+
+    If this is the bound of the simulation, and the next larger bound is finite and has the same
+    failure, the name of this larger bound.
+    """
+    (name, smallest), *larger = limit.bounds.items()
+    if name == "simulation" and larger and math.isfinite(larger[0][1].mass):
+        return larger[0][0] if larger[0][1].failure is smallest.failure else name
+    return name
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Text:

@@ -122,33 +122,34 @@ product at the latest. If a simulation refutes a servo bound of 0, the next simu
 most this factor times the robot's mass. Chosen, not tuned.
 """
 
-VERIFIED_FRACTION = 0.97
-"""Fraction [1] of the computed largest payload with which the stance is judged and simulated with
-nudges. Chosen, not tuned.
-"""
-
 FAILING_RATIO = 1.03
 """Ratio [1] of the payload that `_raise_servo_bound` simulates first to the payload bound of the
 servos. If the robot holds this payload in simulation, the bound was too small and is raised.
 Chosen, not tuned.
 """
 
-SIMULATION_RTOL = 0.02
-"""Relative tolerance [1] of the bisections in which simulations decide whether a payload holds;
-also the relative distance from the servo bound to a larger mass at which `_confirm_servo_bound`
-evaluates the stability. Chosen, not tuned.
+SIMULATION_RTOL = 0.01
+"""Relative tolerance [1] of the bisection in which nudged simulations decide whether a payload
+holds. Chosen, not tuned.
+"""
+
+LONG_SIMULATION_RTOL = 0.02
+"""Relative tolerance [1] of the bisections in which simulations of 12 s decide: the payload bound
+of the servos, and the payload with position commands alone. Also the relative distance from the
+servo bound to a larger mass at which `_confirm_servo_bound` evaluates the stability. Chosen, not
+tuned.
 """
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
 ``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it. `SIMULATION_RTOL`
-applies to bounds that simulations correct. Chosen, not tuned.
+and `LONG_SIMULATION_RTOL` apply to bounds that simulations correct. Chosen, not tuned.
 """
 
-_FIRST_DISTANCE_RATIO = 0.98
+_FIRST_DISTANCE_RATIO = 0.9
 """Distance of the first reduced payload from the static limit, relative to ``SIMULATION_RTOL``
-times the limit. Below 1 / (1 + ``SIMULATION_RTOL``): if the robot holds this payload, the interval
-up to the limit needs no bisection.
+times the limit. Each further distance is doubled. Bisected intervals then meet the tolerance
+without a further simulation if the result is more than this fraction of the limit.
 """
 
 _FIRST_MASS_RATIO = 0.25
@@ -211,8 +212,8 @@ class PayloadLimit(Tabular):
             contact forces are those with the smallest tangential components.
         servos: Bound of the servos if torque limits are ignored: with a larger mass, a servo
             command exceeds the range, or a deviation leaves the stand within 12 s.
-        simulation: Bound of the simulation: the largest mass for which ``VERIFIED_FRACTION`` times
-            the mass holds in simulation. Infinite if the smallest of the other bounds holds in
+        simulation: Bound of the simulation: the largest simulated mass with which the stance holds,
+            also after nudges of the base. Infinite if the smallest of the other bounds holds in
             simulation, or is 0 or infinite. 0 if the stance fails without payload.
         point: (3,) position of the payload in the frame of ``link`` [m].
         link: Link of the URDF with the payload.
@@ -225,8 +226,8 @@ class PayloadLimit(Tabular):
         joint_torques: (nu,) motor torques or forces in ``stand`` (N m or N).
         torque_units: (nu,) unit of each torque: N m for a hinge, N for a slide.
         contact_forces: {foot: (3,)} contact forces in ``stand``, in world axes [N].
-        verdict: Verdict of the stance with ``VERIFIED_FRACTION`` of ``upper_bound``; without
-            payload if ``upper_bound`` is 0 or infinite.
+        verdict: Verdict of the stance with ``upper_bound``; without payload if ``upper_bound`` is 0
+            or infinite.
         trial: Simulation with the mass of ``verdict`` and twelve nudges of the base; None if
             ``upper_bound`` is 0 or infinite.
         continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
@@ -350,9 +351,9 @@ def payload_limit(
     """Find the largest point mass that a robot can carry in a stance.
 
     For each mass the loaded stance is solved on the simulated ground, with feed-forward for the
-    loaded robot. If the smallest bound is positive and finite, the stance with 97 %
-    (``VERIFIED_FRACTION``) of this bound is judged and simulated with twelve nudges of the base. If
-    the stance fails, a smaller mass is bisected by simulations.
+    loaded robot. If the smallest bound is positive and finite, the stance with this mass is judged
+    and simulated with twelve nudges of the base. If the stance fails, the largest mass that holds
+    is bisected by simulations. The result is therefore a mass that holds in simulation.
 
     Args:
         robot: The robot.
@@ -397,9 +398,9 @@ def payload_limit(
     if commands_alone and limit.passed and limit.depends_on_feedforward:
         mass = find_mass_by_commands_alone(
             simulations.simulate_commands_alone,
-            VERIFIED_FRACTION * limit.upper_bound,
-            SIMULATION_RTOL**2 * limit.upper_bound,
-            SIMULATION_RTOL,
+            limit.upper_bound,
+            LONG_SIMULATION_RTOL**2 * limit.upper_bound,
+            LONG_SIMULATION_RTOL,
         )
         failures = simulations.find_failures_alone(mass) or limit.verdict.failures_alone
         limit = replace(limit, mass_by_commands_alone=mass, failures_alone=failures)
@@ -446,8 +447,7 @@ def _make_payload_limit(
     is_powerless = any(limit.without_torque for limit in list_driven_limits(robot))
     assert loaded_stand.stand is not None
     assert loaded_stand.statics is not None
-    verified_mass = VERIFIED_FRACTION * mass_limit
-    verdict = simulations.judge(verified_mass if has_finite_limit else 0.0)
+    verdict = simulations.judge(mass_limit if has_finite_limit else 0.0)
     is_unknown = bool(unknown_limits) or verdict.code is VerdictCode.MASSES_UNKNOWN
     known_code = EffortCode.ZERO if is_powerless else EffortCode.STATED
     return PayloadLimit(
@@ -473,7 +473,7 @@ def _make_payload_limit(
         contact_forces=loaded_stand.statics.contact_forces,
         motor_utilisation=loaded_stand.statics.motor_utilisation,
         verdict=verdict,
-        trial=simulations.simulate_nudged(verified_mass) if has_finite_limit else None,
+        trial=simulations.simulate_nudged(mass_limit) if has_finite_limit else None,
     )
 
 
@@ -595,26 +595,25 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
         low,
         high,
         (bound.failure, bound.failing_parts),
-        SIMULATION_RTOL * low,
+        LONG_SIMULATION_RTOL * low,
     )
 
 
 def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
-    """Find the largest mass M for which ``VERIFIED_FRACTION`` times M holds in simulation.
+    """Find the largest mass that holds in simulation, also after nudges of the base.
 
     Infinite if ``static_limit`` [kg], the smallest static bound, holds.
     """
 
     def find_cause(mass: float) -> FailureCause:
-        """Return why a simulation with ``VERIFIED_FRACTION`` of a mass [kg] fails; else None."""
-        verified_mass = VERIFIED_FRACTION * mass
-        trial = simulations.simulate_nudged(verified_mass)
+        """Return why a simulation with a mass [kg] fails; None if the stance holds."""
+        trial = simulations.simulate_nudged(mass)
         if trial.failure is not None:
             return trial.failure, trial.failing_parts
         verdict = (
-            simulations.judge(verified_mass)
+            simulations.judge(mass)
             if mass == static_limit
-            else simulations.judge_with_feedforward(verified_mass)
+            else simulations.judge_with_feedforward(mass)
         )
         return None if _holds_in_simulation(verdict) else (Failure.SIMULATED, ())
 
@@ -842,15 +841,17 @@ class _PayloadSearch:
         if (cause := find_cause(below)) is not None:
             if find_cause(0.0) is not None:
                 return Bound(0.0, *cause)
-            return _bisect_mass(find_cause, 0.0, below, cause, BOUND_RTOL * below, SIMULATION_RTOL)
+            return _bisect_mass(
+                find_cause, 0.0, below, cause, BOUND_RTOL * below, LONG_SIMULATION_RTOL
+            )
         if bound.mass > mass_limit:
             return bound
-        low, high = bound.mass, (1 + SIMULATION_RTOL) * bound.mass
+        low, high = bound.mass, (1 + LONG_SIMULATION_RTOL) * bound.mass
         while (cause := find_cause(high)) is None:
             low, high = high, _MASS_GROWTH * high
             if high > min(other_masses):
                 return Bound(math.inf, Failure.NOTHING, ())
-        return _bisect_mass(find_cause, low, high, cause, SIMULATION_RTOL * low)
+        return _bisect_mass(find_cause, low, high, cause, LONG_SIMULATION_RTOL * low)
 
     def find_spectrum_failure(self, mass: float) -> FailureCause:
         """Return the failure of the servos with a payload [kg], without simulation, or None.

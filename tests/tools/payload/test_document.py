@@ -21,7 +21,12 @@ from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
 from tests.support.printing import printed
-from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_payload_result
+from tests.support.stubs import (
+    ADDED_SERVOS_TEXT,
+    Stub,
+    judge_added_servos,
+    make_payload_result,
+)
 
 
 def test_motors_without_a_limit_are_named() -> None:
@@ -61,14 +66,36 @@ def test_payload_limit_states_that_its_servos_were_added() -> None:
     assert ADDED_SERVOS_TEXT in " ".join(print_words(payload_document(result)))
 
 
-@pytest.mark.parametrize(("carried", "mass"), [(0.0, "1.2kg"), (1.0, "2.2kg"), (10.06, "11.26kg")])
+@pytest.mark.parametrize(
+    ("carried", "mass"), [(0.0, "1.23kg"), (1.0, "2.23kg"), (10.06, "11.29kg")]
+)
 def test_next_command_simulates_the_payload_with_the_typed_one(carried: float, mass: str) -> None:
-    """Reference: 97 % of 1.239 kg is 1.2018 kg, which is rounded down; no sum is rounded up."""
+    """Reference: line 1 states 1.239 kg as 1.23 kg; no sum is rounded up."""
     result = make_payload_result()
     result.carried = carried
     step = payload_document(result).next_step
     assert step is not None
     assert (step.command, step.words) == ("gains", ("--payload", mass))
+
+
+def test_next_command_follows_the_cause_if_a_nudge_lowers_the_limit_of_the_contacts() -> None:
+    """The simulation sets the payload of Aliengo at 97 % of the contacts, by the same cause.
+
+    The next command was ``push``, which does not raise the payload.
+    """
+    result = make_payload_result()
+    result.failure = Failure.GROUND
+    result.bounds = {
+        "simulation": Stub(mass=44.8, failure=Failure.GROUND, failing_parts=("FR_calf",)),
+        "stance": Stub(mass=46.1, failure=Failure.GROUND, failing_parts=("FR_calf",)),
+    }
+    step = payload_document(result).next_step
+    assert step is not None
+    assert (step.command, step.words) == ("best", ("payload",))
+    result.bounds["stance"].failure = Failure.TIPPING
+    step = payload_document(result).next_step
+    assert step is not None
+    assert step.command == "push"
 
 
 @pytest.mark.parametrize(("carried", "command"), [(0.0, "stand"), (9.0, "payload")])

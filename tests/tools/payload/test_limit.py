@@ -29,8 +29,8 @@ from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
 from pupper_analysis.tools.payload import metrics
 from pupper_analysis.tools.payload.limit import (
+    LONG_SIMULATION_RTOL,
     SIMULATION_RTOL,
-    VERIFIED_FRACTION,
     Bound,
     payload_limit,
     simulate_payload,
@@ -53,11 +53,9 @@ STIFF = {"kp": 60.0, "kd": 0.8}
 def check_typed_back(
     robot: pa.Robot, point: FramePoint, **gains: float
 ) -> pa.analysis.PayloadLimit:
-    """Assert that a stand holds with 97 % of a payload limit and fails with 103 %; return the
-    limit.
+    """Assert that a stand holds with a payload limit and fails with 103 %; return the limit.
 
-    The reference is `judge_stand`, which forms the verdict of ``stand``. The failure at 103 % is
-    not checked if the nudged simulation sets the limit, since ``stand`` simulates one nudge.
+    The reference is `judge_stand`, which forms the verdict of ``stand``.
     """
     limit = payload_limit(robot, None, point, **gains)
     if not limit.passed:
@@ -67,17 +65,16 @@ def check_typed_back(
     assert limit.verdict.passed
     if math.isinf(limit.mass):
         return limit
-    loaded = pa.robot.with_payload(robot, 0.97 * limit.mass, point)
+    loaded = pa.robot.with_payload(robot, limit.mass, point)
     assert pa.judge_stand(loaded, pa.solve_stand(loaded), **gains).passed
     assert limit.trial is not None
     assert limit.trial.survived
-    assert limit.trial.mass == VERIFIED_FRACTION * limit.mass
-    if limit.binding != "simulation":
-        try:
-            heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
-            assert not pa.judge_stand(heavy, pa.solve_stand(heavy), **gains).passed
-        except (pa.StanceUnreachableError, pa.StaticsInfeasibleError):
-            assert limit.binding == "stance"
+    assert limit.trial.mass == limit.mass
+    try:
+        heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
+        assert not pa.judge_stand(heavy, pa.solve_stand(heavy), **gains).passed
+    except (pa.StanceUnreachableError, pa.StaticsInfeasibleError):
+        assert limit.binding in ("stance", "simulation")
     return limit
 
 
@@ -112,7 +109,7 @@ def test_verdict_with_feet_without_friction_is_that_of_the_stand(
     assert (stand.returncode, stand.stdout[:5]) == (0, "HOLDS")
     limit = payload_limit(robot)
     assert limit.passed
-    loaded = pa.robot.with_payload(robot, 0.97 * limit.mass)
+    loaded = pa.robot.with_payload(robot, limit.mass)
     assert pa.judge_stand(loaded, pa.solve_stand(loaded)).passed
 
 
@@ -172,13 +169,13 @@ def test_weakest_motor_is_at_its_limit_with_the_payload() -> None:
     """
     robot = load("v3")
     limit = payload_limit(robot, None, ON_TOP, **STIFF)
-    assert limit.binding == "motors"
+    assert limit.motors.mass < min(limit.servos.mass, limit.stance.mass)
     assert limit.failure is Failure.MOTOR
-    loaded, stand = solve_loaded_stand(robot, pa.StandTask(), limit.mass, ON_TOP)
+    loaded, stand = solve_loaded_stand(robot, pa.StandTask(), limit.motors.mass, ON_TOP)
     assert max(stand.depths.values()) > 5e-3
     held = pa.stance.stand_statics(loaded, stand)
     assert 1 - 5e-6 < held.motor_utilisation.max() <= 1
-    assert robot.joint_names[int(held.motor_utilisation.argmax())] in limit.failing_parts
+    assert robot.joint_names[int(held.motor_utilisation.argmax())] in limit.motors.failing_parts
     rigid = pa.stance.stand_statics(loaded, pa.solve_stand(loaded))
     assert rigid.motor_utilisation.max() > 1.03  # on rigid ground it would not be the limit
 
@@ -220,7 +217,7 @@ def test_a_payload_on_motors_without_effort_limits_is_unknown() -> None:
 
 @pytest.mark.slow
 def test_payload_limit_on_a_leg_holds_in_stand_and_more_fails() -> None:
-    """Reference: `judge_stand` with 97 % and 103 % of the limit."""
+    """Reference: `judge_stand` with 100 % and 103 % of the limit."""
     robot = load("v3")
     tool = find_tool(robot, "leg_front_l_2").translated((0.0, 0.02, 0.06))
     limit = check_typed_back(robot, tool)
@@ -339,10 +336,10 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     the stub.
     """
     found = bisect_bound(most, nudged=3.0)
-    assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
+    assert 3.0 / (1 + SIMULATION_RTOL) <= found.mass <= 3.0
     assert (found.failure, found.failing_parts) == (Failure.TIPPING, ("FL",))
     found = bisect_bound(most, verdict=3.0)
-    assert 3.0 / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * found.mass <= 3.0
+    assert 3.0 / (1 + SIMULATION_RTOL) <= found.mass <= 3.0
     assert found.failure is Failure.SIMULATED
     assert bisect_bound(most).mass == math.inf
     nothing = bisect_bound(most, verdict=-1.0)
@@ -410,15 +407,15 @@ def test_servo_bound_is_raised_to_the_largest_mass_that_stand_holds(largest: flo
     elif largest > motors.mass:
         assert raised.mass == math.inf
     else:
-        assert raised.mass == pytest.approx(largest, rel=SIMULATION_RTOL)
+        assert raised.mass == pytest.approx(largest, rel=LONG_SIMULATION_RTOL)
         assert raised.failing_parts == ("knee",)
 
 
-@pytest.mark.parametrize(("nudged", "most"), [(38.1, 2), (36.6, 5), (34.0, 7)])
+@pytest.mark.parametrize(("nudged", "most"), [(39.7, 2), (39.3, 4), (38.1, 6), (36.0, 9)])
 def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
     nudged: float, most: int
 ) -> None:
-    """Seven masses were simulated for Go2, whose bound is 1.6 % below the static limit of 68 kg."""
+    """The static limit is 40 kg; nudges reduced it by 0.7 to 8 % for robots of other packages."""
     masses: list[float] = []
 
     def fails(mass: float) -> Any:
@@ -430,7 +427,7 @@ def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
 
     limit = payload._bisect_simulation_bound(40.0, make_simulations(judged, fails))
     assert len(masses) <= most
-    assert nudged / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * limit.mass <= nudged
+    assert nudged / (1 + SIMULATION_RTOL) <= limit.mass <= nudged
 
 
 @pytest.mark.slow
@@ -516,7 +513,7 @@ def test_simulation_bounds_the_payload_if_the_spectrum_fails_without_payload(
         "motors": Bound(math.inf, Failure.NOTHING, ()),
     }
     found = search._confirm_servo_bound(bounds)
-    assert found.mass == pytest.approx(expected, rel=SIMULATION_RTOL)
+    assert found.mass == pytest.approx(expected, rel=LONG_SIMULATION_RTOL)
     assert found.failure == (Failure.NOTHING if math.isinf(expected) else Failure.BUCKLING)
 
 
@@ -595,7 +592,7 @@ def test_payload_of_an_arm_on_a_weld_is_that_of_the_arm_with_a_fixed_base(tmp_pa
     held = pa.hold_posture(arm, tool="wrist")
     assert held.payload is not None
     assert limit.failure is Failure.MOTOR
-    assert limit.mass == pytest.approx(held.payload.mass, rel=1e-5)
+    assert limit.motors.mass == pytest.approx(held.payload.mass, rel=1e-5)
 
 
 def test_payload_of_a_fixed_base_is_refused_with_the_command_that_computes_it() -> None:
