@@ -86,7 +86,7 @@ def test_sole_may_tilt_although_its_points_sink_by_different_depths(
     stand = pa.solve_stand(robot)
     kp = np.full(robot.nu, 3 * robot.weight * robot.stand_height)
     small = SmallPayload(robot, find_place(robot, (0.0, 0.0, 0.1)), kp)
-    compute_modes = first_order._compute_buckling_modes
+    compute_modes: Any = first_order._compute_buckling_modes
 
     found = []
     for difference in (0.0, 1e-7):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,6 @@ from tests.present.test_printed import print_words
 from tests.support.printing import printed
 from tests.support.stubs import (
     ADDED_SERVOS_TEXT,
-    Stub,
     judge_added_servos,
     make_payload_result,
 )
@@ -86,8 +86,10 @@ def test_next_command_follows_the_cause_if_a_nudge_lowers_the_limit_of_the_conta
     result = make_payload_result()
     result.failure = Failure.GROUND
     result.bounds = {
-        "simulation": Stub(mass=44.8, failure=Failure.GROUND, failing_parts=("FR_calf",)),
-        "stance": Stub(mass=46.1, failure=Failure.GROUND, failing_parts=("FR_calf",)),
+        "simulation": SimpleNamespace(
+            mass=44.8, failure=Failure.GROUND, failing_parts=("FR_calf",)
+        ),
+        "stance": SimpleNamespace(mass=46.1, failure=Failure.GROUND, failing_parts=("FR_calf",)),
     }
     step = payload_document(result).next_step
     assert step is not None
