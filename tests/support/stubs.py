@@ -355,7 +355,7 @@ def make_payload_result(*unknown: str) -> Any:
         weak_motors=(),
         mass_by_commands_alone=math.nan,
         failures_alone=(),
-        motor_utilisation=np.array([0.25, 0.5]),
+        motor_utilisation=np.where(np.isin(["hip", "knee"], unknown), np.nan, [0.25, 0.5]),
         torque_units=("N m", "N m"),
         joint_names=("hip", "knee"),
         binding="stance",

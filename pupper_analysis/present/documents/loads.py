@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arguments import find_name_patterns
 from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import READ_IN, floor_within_rounding, round_down
 from pupper_analysis.models.efforts import EffortStatement
@@ -41,6 +42,36 @@ WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
 ``WARNING_UTILISATION`` the cell is marked as a warning, above ``FULL_UTILISATION`` as bad. At 1 the
 motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 """
+
+
+EXAMPLE_EFFORT_RATIO = 2.0
+"""Example of a motor limit that a proposed command contains, divided by the largest torque of these
+motors [1]. Chosen, not tuned: the motors then exert this torque, and the posture is not at a limit.
+"""
+
+
+def format_example_efforts(
+    unknown: Collection[str], torques: Mapping[str, float], units: Mapping[str, str]
+) -> tuple[str, ...]:
+    """Return options ``--effort`` with an example for the motors without a stated limit.
+
+    The example is `EXAMPLE_EFFORT_RATIO` times the largest torque of these motors, with two digits.
+    Hinges and slides have separate examples. Empty if the torques are zero.
+
+    Args:
+        unknown: Joints of the motors without a stated limit.
+        torques: {joint: torque [N m, N]} of all motors.
+        units: {joint: unit of the torque} of all motors, N m or N.
+    """
+    words: list[str] = []
+    for unit in dict.fromkeys(units.values()):
+        joints = [joint for joint in torques if joint in unknown and units[joint] == unit]
+        torque = max((abs(torques[joint]) for joint in joints), default=0.0)
+        if torque > 0:
+            example = format_number(EXAMPLE_EFFORT_RATIO * torque, ".2g")
+            for pattern in find_name_patterns(joints, torques):
+                words += ("--effort", f"{pattern}={example}")
+    return tuple(words)
 
 
 def utilisation_cell(share: float, limit: float) -> doc.Number:

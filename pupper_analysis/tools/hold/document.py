@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import find_name_patterns
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import round_down
@@ -21,6 +20,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
     describe_slides,
+    format_example_efforts,
     get_display_scales,
     limit_cell,
     origins_text,
@@ -49,11 +49,6 @@ MIN_FURTHER_SHARE = 0.1
 """Further payload, divided by the present payload [1], above which a further payload is proposed. A
 smaller further payload may be the amount that the last proposal lost by rounding. Chosen, not
 tuned."""
-
-
-EXAMPLE_EFFORT_RATIO = 2.0
-"""Example of a motor limit that the next command contains, divided by the largest torque in the
-worst postures [1]. Chosen, not tuned: the motors hold these postures and a payload."""
 
 
 @build_document.register(Hold)
@@ -131,24 +126,12 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 def _format_example_efforts(hold: Hold) -> tuple[str, ...]:
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
-    The example is `EXAMPLE_EFFORT_RATIO` times the largest torque [N m, N] of these motors in the
-    worst postures, with two digits. Empty if the torques are zero.
+    The torques are those of the worst postures. Empty if they are zero.
     """
-    names = hold.worst.joint_names
-    words: list[str] = []
-    for unit in dict.fromkeys(hold.statics.torque_units):
-        joints = [
-            name
-            for name, own_unit in zip(names, hold.statics.torque_units, strict=True)
-            if name in hold.payload.unknown and own_unit == unit
-        ]
-        torques = [abs(hold.worst.joint_torques[names.index(name)]) for name in joints]
-        torque = max(torques, default=0.0)
-        if torque > 0:
-            example = format_number(EXAMPLE_EFFORT_RATIO * float(torque), ".2g")
-            for pattern in find_name_patterns(joints, names):
-                words += ("--effort", f"{pattern}={example}")
-    return tuple(words)
+    worst = hold.worst
+    torques = dict(zip(worst.joint_names, worst.joint_torques.tolist(), strict=True))
+    units = dict(zip(worst.joint_names, hold.statics.torque_units, strict=True))
+    return format_example_efforts(hold.payload.unknown, torques, units)
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:

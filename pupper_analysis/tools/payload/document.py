@@ -15,7 +15,12 @@ import numpy as np
 from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
-from pupper_analysis.present.documents.loads import mass_text, round_mass, view_block
+from pupper_analysis.present.documents.loads import (
+    format_example_efforts,
+    mass_text,
+    round_mass,
+    view_block,
+)
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -79,7 +84,8 @@ _NEXT_STEPS = {
 def _select_next_step(limit: PayloadLimit) -> NextStep:
     """Return the command to suggest next, such as `best` with the objective payload."""
     if limit.unknown_limits and limit.upper_bound > 0:
-        return NextStep("audit")
+        efforts = _format_example_efforts(limit)
+        return NextStep("payload", efforts) if efforts else NextStep("audit")
     if not limit.passed or not limit.bounds:
         loaded = limit.carried > 0
         step = NextStep("payload", omitted=("--payload",)) if loaded else NextStep("stand")
@@ -90,6 +96,19 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
         return step
     payload = limit.carried + round_mass(mass)
     return replace(step, words=(*step.words, "--payload", f"{payload:.6g}kg"))
+
+
+def _format_example_efforts(limit: PayloadLimit) -> tuple[str, ...]:
+    """Return options ``--effort`` with an example for the motors without a stated limit.
+
+    The torques are those of the stand with the largest payload of the other bounds.
+    """
+    shares = dict(zip(limit.joint_names, limit.motor_utilisation.tolist(), strict=True))
+    unknown = [joint for joint, share in shares.items() if math.isnan(share)]
+    torques = {joint: float(torque) for joint, torque in limit.torque_by_joint.items()}
+    return format_example_efforts(
+        unknown, torques, {joint: limit.get_torque_unit(joint) for joint in torques}
+    )
 
 
 def _find_limiting_bound(limit: PayloadLimit) -> str:

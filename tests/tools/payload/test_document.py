@@ -100,6 +100,18 @@ def test_next_command_follows_the_cause_if_a_nudge_lowers_the_limit_of_the_conta
     assert step.command == "push"
 
 
+@pytest.mark.parametrize(
+    ("unknown", "option"), [(("hip",), "hip=2"), (("knee",), "knee=4"), (("hip", "knee"), "*=4")]
+)
+def test_next_command_states_example_limits_of_motors_without_a_limit(
+    unknown: tuple[str, ...], option: str
+) -> None:
+    """``audit`` was proposed, and found nothing. Reference: twice the torques 1 and -2 N m."""
+    step = payload_document(make_payload_result(*unknown)).next_step
+    assert step is not None
+    assert (step.command, step.words) == ("payload", ("--effort", option))
+
+
 @pytest.mark.parametrize(("carried", "command"), [(0.0, "stand"), (9.0, "payload")])
 def test_next_command_of_a_failure_with_a_typed_payload_leaves_the_payload_out(
     carried: float, command: str
