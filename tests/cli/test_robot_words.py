@@ -21,10 +21,9 @@ COMMANDS = sorted(cli.group.list_commands(click.Context(cli.group)))
 _OTHER_INPUT = {
     "check": "check requires a folder",
     "study": "study requires a TOML file",
-    "walk": "exactly one policy is required",
 }
 """{command: text of the error about a robot that is not installed}: commands without a robot on the
-command line, and ``walk``, which needs the policy before the robot."""
+command line."""
 
 _ROBOT_ARGUMENTS = {"words", "file", "folder", "sources", "source", "urdf", "mjcf", "old", "new"}
 """Names of arguments that specify robots."""
@@ -71,7 +70,7 @@ def test_each_command_resolves_the_name_of_a_robot(
     """
     done = run_with_robot(command, robot, tmp_path)
     assert done.returncode == 2, done.stderr
-    if command in _OTHER_INPUT and (robot != "v3-log" or command != "walk"):
+    if command in _OTHER_INPUT:
         expected = _OTHER_INPUT[command] if robot != "v3-log" else ""
     assert expected in done.stderr
 

@@ -110,7 +110,7 @@ def compare_commands(
         there, _ = run("stand", "--slope", SLOPE)
         _compare_payload(found, run, there, "--slope", SLOPE)
         if loaded:
-            load = "--payload", f"{INSIDE * found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
+            load = "--payload", f"{found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
             _compare_push(found, run, loaded, *load)
     if stance:
         _compare_study(found, stance, files, folder)

@@ -233,7 +233,10 @@ def test_welded_base_gives_the_results_of_a_fixed_base(tmp_path: Path) -> None:
     place = (held.tool.link, *held.tool.offset.tolist())
     limit = pytest.importorskip("pupper_analysis.tools.payload.limit")
     carried = limit.payload_limit(robot, task, place)
-    assert carried.mass == pytest.approx(min(held.payload.mass, held.payload.servos), rel=2e-3)
+    bound = min(held.payload.mass, held.payload.servos)
+    assert min(carried.motors.mass, carried.servos.mass) == pytest.approx(bound, rel=2e-3)
+    # After a nudge the motor exerts more: the mass that holds in simulation is found to 1 %.
+    assert 0.985 * bound < carried.mass <= 1.002 * bound
 
 
 def test_posture_with_touching_parts_fails(tmp_path: Path) -> None:
