@@ -193,9 +193,7 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         text = f"{error.format_message()} (see: {where} --help)"
         _print_error(text, *getattr(error, "__notes__", ()))
     except PupperAnalysisError as error:
-        message = error.diagnostic.text(language)
-        if language == "en":
-            message = error.diagnostic.short or str(error)
+        message = error.diagnostic.get_short_form(language)
         _print_error(message, *getattr(error, "__notes__", ()), language=language)
     except click.ClickException as error:
         _print_error(str(error), *getattr(error, "__notes__", ()))

@@ -90,17 +90,10 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
 
 def _join_short_forms(parts: Sequence[Words], separator: str, language: str) -> str:
     """Join the short forms of texts and names in a language; empty if no part has a short form."""
-    shown = [_select_short_form(part, language) for part in parts]
-    if all(form is part for form, part in zip(shown, parts, strict=True)):
+    has_short = [isinstance(part, Text) and part.has_short_form(language) for part in parts]
+    if not any(has_short):
         return ""
-    return separator.join(str(_select_string(form, language)) for form in shown)
-
-
-def _select_short_form(value: object, language: str) -> object:
-    """Return the short form of a `Text` in a language, if any; return other values unchanged."""
-    if not isinstance(value, Text):
-        return value
-    return (value.short_zh if language == "zh" else value.short) or value
+    return separator.join(translate(part, language, short=True) for part in parts)
 
 
 def get_english(words: Words) -> str:
@@ -108,11 +101,16 @@ def get_english(words: Words) -> str:
     return translate(words, "en")
 
 
-def translate(words: Words, language: str) -> str:
-    """Return a text in a language ("en", "zh"), or an untranslated `Name` as it is."""
-    if isinstance(words, Text):
-        return words.zh if language == "zh" else words.en
-    return words.text
+def translate(words: Words, language: str, *, short: bool = False) -> str:
+    """Return a text in a language ("en", "zh"), or an untranslated `Name` as it is.
+
+    ``short`` selects the short form of a text that has one in the language.
+    """
+    if not isinstance(words, Text):
+        return words.text
+    if short and words.has_short_form(language):
+        return words.short_zh if language == "zh" else words.short
+    return words.zh if language == "zh" else words.en
 
 
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
@@ -125,15 +123,17 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
 def _fill_short(template: str, values: Mapping[str, object], language: str) -> str:
     """Format a short text in a language from a template; inserted texts have their short form."""
     translated = {
-        name: _select_string(_select_short_form(value, language), language)
-        for name, value in values.items()
+        name: _select_string(value, language, short=True) for name, value in values.items()
     }
     return fill_template(template, translated, language)
 
 
-def _select_string(value: object, language: str) -> object:
-    """Return the string of a `Text` or `Name` in a language, or any other value unchanged."""
-    return translate(value, language) if isinstance(value, Text | Name) else value
+def _select_string(value: object, language: str, *, short: bool = False) -> object:
+    """Return the string of a `Text` or `Name` in a language, or any other value unchanged.
+
+    ``short`` selects the short form of a text that has one in the language.
+    """
+    return translate(value, language, short=short) if isinstance(value, Text | Name) else value
 
 
 @dataclass(frozen=True)
@@ -282,11 +282,20 @@ class Text:
         """Return a copy of this text with another emphasis: one of the values of ``Text.mark``."""
         return replace(self, mark=mark)
 
+    def has_short_form(self, language: str) -> bool:
+        """Return True if this text has a short form in a language ("en", "zh")."""
+        return bool(self.short_zh if language == "zh" else self.short)
+
+    def with_short_form(self, words: Text) -> Text:
+        """Return a copy whose short forms are the short forms, or else the texts, of ``words``."""
+        short, short_zh = (translate(words, language, short=True) for language in ("en", "zh"))
+        return replace(self, short=short, short_zh=short_zh)
+
 
 def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
     """Convert a diagnostic to a text in English and Chinese, with the emphasis ``mark``."""
-    short = getattr(diagnostic, "short", "")  # a phrase has none
-    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, short)
+    short, short_zh = (getattr(diagnostic, form, "") for form in (SHORT_FORM, CHINESE_SHORT_FORM))
+    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, short, short_zh)
 
 
 @dataclass(frozen=True)

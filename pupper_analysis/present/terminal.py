@@ -7,8 +7,9 @@ counts the omitted messages, findings, tables and notes.
 In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
 table is printed in parts that repeat the first column.
 
-The console contains the language of the texts. Most Chinese texts have no short form: the short
-view cuts the whole text at the end of a clause.
+The console contains the language of the texts. A Chinese character takes two columns. The short
+view prints the short form of a text in this language; a text that is still too wide is cut at the
+end of a clause.
 """
 
 from __future__ import annotations
@@ -40,7 +41,6 @@ from pupper_analysis.present.document import (
     text,
     translate,
 )
-from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
 MAX_SHORT_FINDINGS = 8
@@ -450,11 +450,7 @@ def _to_plain_text(words: Words, language: str, *, short: bool = False) -> str:
 
     ``short`` selects the short form of a text that has one in the language.
     """
-    if short and isinstance(words, TranslatedText):
-        form = words.short_zh if language == "zh" else words.short
-        if form:
-            return _escape_line(form)
-    return _escape_line(translate(words, language))
+    return _escape_line(translate(words, language, short=short))
 
 
 def _style_words(words: Words, language: str, *, short: bool = False) -> Text:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pupper_analysis.base.diagnostics import (
@@ -374,7 +374,7 @@ def qualify_verdict_word(key: str, converted: str, *, ideal_servos: bool = False
     if key in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN") or not (converted or ideal_servos):
         return word
     if key == _QUALIFIED_KEY:  # the restriction leaves no room for the long form
-        word = replace(word, short=text("HOLDS with feed-forward, in short").en)
+        word = word.with_short_form(text("HOLDS with feed-forward, in short"))
     return text(
         "qualified-verdict",
         word=word,

@@ -18,7 +18,7 @@ from rich.cells import cell_len
 from pupper_analysis import cli
 from pupper_analysis.cli.shared import LANGUAGE_OPTION, LANGUAGE_VARIABLE
 from pupper_analysis.present import terminal
-from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Report
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Document, Name, Report, Text
 from tests.cli.test_answers import COMMANDS
 from tests.support.commands import Answer, answer
 from tests.support.every_command import share_robots
@@ -81,16 +81,37 @@ def test_stand_prints_the_numbers_of_the_english_answer_in_chinese() -> None:
     assert counts[0] == counts[1]
 
 
-def test_short_answer_is_cut_at_the_end_of_a_chinese_clause(tmp_path: Path) -> None:
-    """English messages have short forms, Chinese messages are cut. Reference: the full message."""
-    converting = ("convert", "v3", "-o", str(tmp_path / "new.xml"), "--force", "--language", "zh")
-    short, full = (answer(*converting, *words).stdout.splitlines() for words in ((), ("-v",)))
-    assert all(cell_len(line) <= MAX_ANSWER_WIDTH for line in short if "下一步" not in line)
-    assert short[3].startswith("  用 -v 可查看：另外 ")
-    cut, mark, rest = short[1].partition(" …")
-    assert mark
-    assert not rest
-    assert full[1].startswith(f"{cut}；")
+def test_short_answer_is_cut_at_the_end_of_a_chinese_clause() -> None:
+    """A message without a short form is cut. Reference: the full message."""
+    message = f"{'第一句' * 10}；{'第二句' * 10}"
+    document = Document(Name("kind"), Name("v3"), (), findings=(Text("", message),))
+    (line,) = printed(document, everything=False, width=200, language="zh").splitlines()
+    assert line == f"v3：{'第一句' * 10} …"
+    assert cell_len(line) <= MAX_ANSWER_WIDTH
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("convert", "v3", "-o", "new.xml"),
+        ("diff", "v3", "v3-heavy"),
+        ("workspace", "v3"),
+        ("payload", "v3"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_short_chinese_answer_has_the_numbers_of_the_english_answer(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Reference: the English answer. Chinese texts without short form lost numbers."""
+    heads = []
+    for language in ("en", "zh"):
+        lines = answer(*words, "--language", language, "--force", folder=tmp_path).stdout
+        heads.append(list_sentences(lines).splitlines()[:2])
+        assert all(cell_len(line) <= MAX_ANSWER_WIDTH for line in heads[-1])
+    english, chinese = (Counter(NUMBER.findall("\n".join(head))) for head in heads)
+    assert english - chinese == Counter()
 
 
 def test_environment_variable_sets_the_language_and_the_option_has_priority(

@@ -211,6 +211,7 @@ def test_restricted_verdict_has_a_short_form_that_leaves_room_for_the_answer() -
     word = qualify_verdict_word("HOLDS with feed-forward", "mjcf")
     assert word.en == "HOLDS only with gravity compensation (URDF only)"
     assert word.short == "HOLDS if compensated (URDF only)"
+    assert word.short_zh == "仅在有重力补偿时保持稳定（仅据 URDF）"
     assert qualify_verdict_word("HOLDS with feed-forward", "").short == ""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from string import Formatter
 
 import pytest
 
@@ -16,6 +17,7 @@ from tests.base.diagnostics.test_diagnostic import (
     HAN,
     TERMS,
     TEXTS,
+    WORDS,
     list_package_texts,
     list_template_names,
     made_calls,
@@ -56,6 +58,10 @@ CHINESE_SYNONYMS = {
 """{Chinese synonym: the term of the Chinese texts for the same concept}."""
 
 
+WITHOUT_CHINESE_SHORT_FORM = {"walk-speed-line"}
+"""Keys of texts with a short English form whose Chinese text is as short."""
+
+
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
 def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]]) -> None:
     """Both texts use the same values; Chinese texts contain Chinese characters and punctuation."""
@@ -73,6 +79,27 @@ def test_catalogue_entries_have_both_languages(words: dict[str, dict[str, str]])
         assert not HAN.search(english), key
         shown = re.sub(r"\[!?\w+\?", "[", chinese)  # without the names of conditions
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", shown), f"punctuation of {chinese}"
+
+
+def test_short_forms_exist_in_both_languages_with_equal_values() -> None:
+    """A short answer has equal numbers in both languages, also if a message is too wide."""
+    entries = TEXTS | TERMS
+    for diagnostics in WORDS.values():
+        entries |= diagnostics
+    forms = (SHORT_FORM, CHINESE_SHORT_FORM)
+    shortened = {key: entry for key, entry in entries.items() if entry.keys() & set(forms)}
+    assert len(shortened) > 200
+    lacking = {key for key, entry in shortened.items() if not entry.keys() >= set(forms)}
+    assert lacking == WITHOUT_CHINESE_SHORT_FORM
+    for key in shortened.keys() - lacking:
+        english, chinese = (list_template_values(shortened[key][form]) for form in forms)
+        assert english == chinese, key
+
+
+def list_template_values(template: str) -> set[str]:
+    """Return the names of the values that a template prints, without words chosen by a number."""
+    names = (name for _, name, _, _ in Formatter().parse(template) if name)
+    return {name for name in names if "|" not in name}
 
 
 def test_chinese_texts_name_each_concept_by_one_term() -> None:

@@ -8,6 +8,8 @@ table:
     severity = "warning"
     en = "{subject}: the effort limit is {urdf} in the URDF, {mjcf} in the MJCF"
     zh = "..."
+    short = "{subject}: effort limits {urdf} and {mjcf}"
+    short_zh = "..."
 
 The default of ``severity`` is ``note``. The default of ``group`` is ``found`` for notes and
 ``wrong`` for all other severities. ``templates`` describes the syntax in braces.
@@ -39,8 +41,8 @@ SHORT_FORM = "short"
 form."""
 
 CHINESE_SHORT_FORM = "short_zh"
-"""Key of the short Chinese form of a text of documents. Few texts have one: without, a short answer
-cuts the Chinese text at the end of a clause."""
+"""Key of the short Chinese form of a catalogue text. Each text of this package that has a short
+English form also has a short Chinese form, with the same values."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
@@ -53,7 +55,7 @@ _TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings
 
 LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
 """Catalogue files in which each entry is a single line ``key = { en = "...", zh = "..." }``, with
-an optional third text ``short``."""
+optional texts ``short`` and ``short_zh``."""
 
 _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""
@@ -71,13 +73,13 @@ class Entry:
         severity: ``"error"``, ``"warning"`` or ``"note"``.
         group: ``"wrong"``, ``"assumed"`` or ``"found"``.
         templates: {language: template of the text}.
-        short: Template of the short English form; empty if there is none.
+        short_templates: {language: template of the short form}; an empty template if there is none.
     """
 
     severity: str
     group: str
     templates: Mapping[str, str]
-    short: str = ""
+    short_templates: Mapping[str, str]
 
 
 def codes() -> Iterator[str]:
@@ -97,7 +99,9 @@ def entry(code: str) -> Entry:
     severity = fields.get("severity", "note")
     group = fields.get("group", "found" if severity == "note" else "wrong")
     templates = {language: fields.get(language, fields["en"]) for language in LANGUAGES}
-    return Entry(severity, group, MappingProxyType(templates), fields.get(SHORT_FORM, ""))
+    short_forms = dict(zip(LANGUAGES, (SHORT_FORM, CHINESE_SHORT_FORM), strict=True))
+    short_templates = {language: fields.get(form, "") for language, form in short_forms.items()}
+    return Entry(severity, group, MappingProxyType(templates), MappingProxyType(short_templates))
 
 
 def term(name: str, language: str) -> str:

@@ -131,14 +131,27 @@ class Diagnostic:
     @property
     def short(self) -> str:
         """Short English text of this diagnostic for a terminal; empty if the catalogue has none."""
-        template = entry(self.code).short
+        return self._fill_short_template("en")
+
+    @property
+    def short_zh(self) -> str:
+        """Short Chinese text of this diagnostic for a terminal; empty if the catalogue has none."""
+        return self._fill_short_template("zh")
+
+    def get_short_form(self, language: str) -> str:
+        """Return the short text in a language ("en", "zh"), or the full text if there is none."""
+        return self._fill_short_template(language) or self.text(language)
+
+    def _fill_short_template(self, language: str) -> str:
+        """Return the short text in a language; empty if the catalogue has none."""
+        template = entry(self.code).short_templates[language]
         if not template:
             return ""
         values = {
-            name: _shorten_diagnostics(value) if isinstance(value, Diagnostic | tuple) else value
+            name: _shorten_diagnostics(value, language)
             for name, value in self._template_values.items()
         }
-        return fill_template(template, values, "en")
+        return fill_template(template, values, language)
 
     @property
     def _template_values(self) -> dict[str, Any]:
@@ -253,11 +266,13 @@ def contains_error(diagnostics: Iterable[Diagnostic]) -> bool:
     return any(diagnostic.severity is Severity.ERROR for diagnostic in diagnostics)
 
 
-def _shorten_diagnostics(value: Value) -> Value:
-    """Replace each diagnostic in a value by its short text, if the diagnostic has one."""
+def _shorten_diagnostics(value: Any, language: str) -> Any:
+    """Replace each diagnostic in a value by its short text in a language, if there is one."""
     if isinstance(value, tuple):
-        return tuple(map(_shorten_diagnostics, value))
-    return (value.short or value) if isinstance(value, Diagnostic) else value
+        return tuple(_shorten_diagnostics(item, language) for item in value)
+    if not isinstance(value, Diagnostic):
+        return value
+    return value._fill_short_template(language) or value
 
 
 def _change_names(value: Value, change: Callable[[str], str]) -> Value:

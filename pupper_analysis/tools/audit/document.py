@@ -13,6 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rich.cells import cell_len
+
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.models.published import is_published_name
 from pupper_analysis.present import document as doc
@@ -86,8 +88,9 @@ def _describe_fix(audit: Audit) -> Iterable[doc.Words]:
 
 
 MAX_SUMMARY_WIDTH = 92
-"""Largest width [characters] of a finding in a short answer, after "first: ". A longer message is
-replaced by its first clause, if this has a number and fits, and the title of the rule."""
+"""Largest width [columns] of a finding in a short answer, after "first: ". A Chinese character has
+two columns. A longer message is replaced by its first clause, if this has a number and fits, and
+the title of the rule."""
 
 
 def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> doc.Text:
@@ -110,19 +113,39 @@ def summarise_finding(rule: str, diagnostic: Diagnostic, num_alike: int = 0) -> 
         more=num_alike or None,
     )
     finding = text("element-message", element=element, message=message)
-    if len(finding.short or finding.en) <= MAX_SUMMARY_WIDTH:
-        return finding
-    title = get_rule_text(rule, "title").en
-    is_name = any(map(str.isupper, title.partition(" ")[0][1:]))  # such as MuJoCo
-    title = f"{title[:1] if is_name else title[:1].lower()}{title[1:]}"
-    clause = _CLAUSE_END_PATTERN.split(message.short or message.en, maxsplit=1)[0]
-    with_number = f"{element.short}: {clause}: {title}"
-    if re.search(r"\d", clause) and len(with_number) <= MAX_SUMMARY_WIDTH:
-        return replace(finding, short=with_number)
-    return replace(finding, short=f"{element.short}: {title}")
+    title = get_rule_text(rule, "title")
+    short, short_zh = (
+        _shorten_finding(finding, element, message, title, language) for language in LANGUAGES
+    )
+    return replace(finding, short=short, short_zh=short_zh)
 
 
-_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(")
+def _shorten_finding(
+    finding: doc.Text, element: doc.Text, message: doc.Text, title: doc.Text, language: str
+) -> str:
+    """Return a finding in a language in at most `MAX_SUMMARY_WIDTH` columns, if possible.
+
+    The result is the short form of ``finding``. If this form is too wide, the result contains the
+    short form of ``element``, the first clause of ``message`` if it has a number and fits, and
+    ``title``.
+    """
+    whole = doc.translate(finding, language, short=True)
+    if cell_len(whole) <= MAX_SUMMARY_WIDTH:
+        return whole
+    title_words = doc.translate(title, language)
+    is_name = any(map(str.isupper, title_words.partition(" ")[0][1:]))  # such as MuJoCo
+    if not is_name:
+        title_words = f"{title_words[:1].lower()}{title_words[1:]}"
+    clause = _CLAUSE_END_PATTERN.split(doc.translate(message, language, short=True), maxsplit=1)[0]
+    colon = doc.translate(text("colon"), language)
+    name = doc.translate(element, language, short=True)
+    with_number = colon.join((name, clause, title_words))
+    if re.search(r"\d", clause) and cell_len(with_number) <= MAX_SUMMARY_WIDTH:
+        return with_number
+    return colon.join((name, title_words))
+
+
+_CLAUSE_END_PATTERN = re.compile(r"[,;:] | \(|[，；：。（]")  # noqa: RUF001
 """End of the first clause of a message."""
 
 

@@ -10,7 +10,7 @@ import math
 from dataclasses import replace
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import get_english, text
+from pupper_analysis.present.document import get_english, join_words, text
 from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.standing import quantity_columns, task_text
@@ -37,7 +37,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     load, *others = stand_document.findings
     stance = describe_height(study.stance) or task_text(study.best.stand.task)
     others = [line for line in others if get_english(line) != stance.en]
-    coordinates = replace(stance, short=_shorten_coordinates(study.best))
+    coordinates = stance.with_short_form(_shorten_coordinates(study.best))
     more = [line for line in stand_document.details if get_english(line) != coordinates.en]
     step = _make_next_step(study, stand_document.next_step)
     messages: tuple[doc.Words, ...] = (_make_search_line(study), coordinates, *others)
@@ -119,7 +119,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
     )
 
 
-def _shorten_coordinates(best: BestStance) -> str:
+def _shorten_coordinates(best: BestStance) -> doc.Text:
     """Return the coordinates of the best stance in short: mm and degrees.
 
     For example, ``found: base height 180.6 mm, x +13 mm, pitch +1 deg; feet moved ≤18 mm``.
@@ -132,16 +132,22 @@ def _shorten_coordinates(best: BestStance) -> str:
             feet.setdefault(foot, []).append(value)
     largest = 1e3 * max((math.hypot(*moved) for moved in feet.values()), default=0.0)
     height = best.stand.task.height
-    parts = [f"base height {1e3 * height:.1f} mm"] if height else []
+    parts = [text("best-height", height=f"{1e3 * height:.1f}")] if height else []
     for names, scale, unit in (
         (("x", "y"), 1e3, "mm"),
         (ANGLE_COORDINATES, math.degrees(1.0), "deg"),
     ):
         shown = {name: f"{scale * best.coordinates.get(name, 0.0):+.0f}" for name in names}
-        moved = [f"{name} {number}" for name, number in shown.items() if float(number)]
-        parts += [f"{', '.join(moved)} {unit}"] if moved else []
-    feet_moved = (f"feet moved ≤{largest:.0f} mm",) if round(largest) else ()
-    return f"found: {'; '.join(filter(None, (', '.join(parts), *feet_moved)))}"
+        moved = [
+            text("best-coordinate", name=text(name), number=number)
+            for name, number in shown.items()
+            if float(number)
+        ]
+        parts += [text("best-moved", coordinates=join_words(moved), unit=unit)] if moved else []
+    groups = [join_words(parts)] if parts else []
+    if round(largest):
+        groups.append(text("best-feet-moved", largest=f"{largest:.0f}"))
+    return text("best-found", stance=join_words(groups, "semicolon"))
 
 
 def _make_coordinate_table(best: BestStance) -> doc.Table:

@@ -355,10 +355,9 @@ def _list_compared(contract: Contract) -> doc.Words:
 def _join_quantities(quantities: Iterable[str]) -> doc.Words:
     """Join the names of quantities; the short form has `_MAX_NAMED_QUANTITIES` names."""
     words = [word(quantity) for quantity in quantities]
-    short = join_words(words[:_MAX_NAMED_QUANTITIES]).en
-    if len(words) > _MAX_NAMED_QUANTITIES:
-        short += f" and {len(words) - _MAX_NAMED_QUANTITIES} more"
-    return replace(join_words(words), short=short)
+    named = join_words(words[:_MAX_NAMED_QUANTITIES])
+    more = max(len(words) - _MAX_NAMED_QUANTITIES, 0)
+    return join_words(words).with_short_form(text("contract-quantities", named=named, more=more))
 
 
 _MAX_NAMED_QUANTITIES = 5

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 from pupper_analysis.base.arguments import is_finite_number
@@ -97,7 +96,7 @@ def _describe_count(diff: ModelDiff) -> doc.Text:
         element=None if second is None else _name_element(second),
         more=count - 1 if count > 2 else None,
     )
-    return replace(named, short=edited.en)
+    return named.with_short_form(edited)
 
 
 def _name_element(change: ModelChange) -> doc.Name:
@@ -128,7 +127,7 @@ def _format_title(diff: ModelDiff) -> doc.Text:
     old, new = (Path(version).name for version in (diff.old, diff.new))
     if old == new:
         return title
-    return replace(title, short=text("old-and-new", old=doc.Name(old), new=doc.Name(new)).en)
+    return title.with_short_form(text("old-and-new", old=doc.Name(old), new=doc.Name(new)))
 
 
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:

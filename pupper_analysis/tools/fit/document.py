@@ -346,15 +346,18 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     )
 
 
-def _count_most_common_kind(plan: StandPlan) -> str:
+def _count_most_common_kind(plan: StandPlan) -> doc.Text | str:
     """Return the most common kind of determined parameters, such as ``8 of them kp``.
 
-    Parameters count that the measurements alone determine.
+    Parameters count that the measurements alone determine. The result is empty without any.
     """
     counts = Counter(
         estimate.kind for estimate in plan.expected if estimate.determined is Determined.DATA
     )
-    return ", ".join(f"{count} of them {kind}" for kind, count in counts.most_common(1))
+    if not counts:
+        return ""
+    ((kind, count),) = counts.most_common(1)
+    return text("most-common-kind", count=count, kind=doc.word(kind))
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.base.diagnostics import LANGUAGES, Quantity
 from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import round_down
 from pupper_analysis.present import document as doc
@@ -349,7 +349,7 @@ def _make_force_table(hold: Hold) -> doc.Table:
 def hold_torque_plot(hold: Hold) -> doc.BarPlot:
     """Create the plot of the motor utilisation in the posture, and in the worst postures."""
     posture = _describe_posture(hold)
-    short = posture.short if isinstance(posture, doc.Text) and posture.short else posture
+    short = doc.Text(*(doc.translate(posture, language, short=True) for language in LANGUAGES))
     return torque_plot(
         hold.statics,
         hold.verification.joint_torques.tolist(),

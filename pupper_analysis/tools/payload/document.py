@@ -214,7 +214,7 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
         bound_text = text("payload-next-bound", next=next_mass, cause=cause, bound=bound)
         if name == "motors":  # in short the utilisation, as if no mass saturates a motor
             for line in motors:
-                bound_text = replace(bound_text, short=line.short, short_zh=line.short_zh)
+                bound_text = bound_text.with_short_form(line)
         yield bound_text
     if limit.failures_alone and not is_same:
         mass = mass_text(limit.mass_by_commands_alone)

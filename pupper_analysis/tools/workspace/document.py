@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pupper_analysis.base.diagnostics import Diagnostic
+from rich.cells import cell_len
+
+from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.colours import BLACK_COLOUR, SKY_BLUE_COLOUR
@@ -58,15 +60,15 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
         )
         for key in sorted(limits, key=lambda key: -len(directions[key]))
     ]
-    short = _abbreviate_limits(workspace)
-    return replace(join_words(parts, "semicolon"), short=short)
+    short, short_zh = (_abbreviate_limits(workspace, language) for language in LANGUAGES)
+    return replace(join_words(parts, "semicolon"), short=short, short_zh=short_zh)
 
 
-def _abbreviate_limits(workspace: BaseWorkspace) -> str:
+def _abbreviate_limits(workspace: BaseWorkspace, language: str) -> str:
     """Return each kind of limit with the directions, for the short answer, most directions first.
 
     Names of joints and links are omitted. The result is the first of these forms that is at most
-    `_MAX_LIMITS_WIDTH` wide; the last form may be wider.
+    `_MAX_LIMITS_WIDTHS` wide; the last form may be wider.
 
     1. Each direction once, with the limits at both ends:
        ``joints (all but x), joints and ground (pitch)``.
@@ -78,18 +80,21 @@ def _abbreviate_limits(workspace: BaseWorkspace) -> str:
     by_ends: dict[str, list[str]] = {}
     by_limit: dict[str, list[str]] = {}
     for direction, ends in workspace.limits.items():
-        limits = dict.fromkeys(doc.diagnostic_text(limit).short for limit in ends)
-        at_ends = join_words(map(doc.Name, sorted(limits)), "and").en
+        limits = dict.fromkeys(limit.get_short_form(language) for limit in ends)
+        at_ends = doc.translate(join_words(map(doc.Name, sorted(limits)), "and"), language)
         by_ends.setdefault(at_ends, []).append(direction)
         for limit in limits:
             by_limit.setdefault(limit, []).append(direction)
+    listed = join_words(map(doc.Name, _sort_by_length(by_limit)), "limits-separator")
     forms = (
         _format_limits(workspace, by_ends),
         _format_limits(workspace, by_ends, has_else=True),
         _format_limits(workspace, by_limit, has_else=True),
+        text("limits-by-direction", limits=listed),
     )
-    only_limits = text("limits-by-direction", limits=", ".join(_sort_by_length(by_limit))).en
-    return next((form for form in forms if len(form) <= _MAX_LIMITS_WIDTH), only_limits)
+    printed = [doc.translate(form, language) for form in forms]
+    width = _MAX_LIMITS_WIDTHS[language]
+    return next((form for form in printed if cell_len(form) <= width), printed[-1])
 
 
 def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
@@ -99,27 +104,28 @@ def _sort_by_length(groups: Mapping[str, Sequence[str]]) -> list[str]:
 
 def _format_limits(
     workspace: BaseWorkspace, groups: Mapping[str, Sequence[str]], *, has_else: bool = False
-) -> str:
+) -> doc.Text:
     """Format {limit: directions}, most directions first.
 
     With ``has_else``, the first of several limits comes last, as ``else``, without directions. The
     directions of a limit are the shorter of their list and ``all but`` the other directions.
     """
     limits = _sort_by_length(groups)
-    parts = list[str]()
+    parts = list[doc.Text]()
     for limit in limits:
         others = [direction for direction in workspace.limits if direction not in groups[limit]]
-        listed = join_words(map(text, groups[limit])).en
-        all_but = text("limit-everywhere", other=join_words(map(text, others)).en).en
-        parts.append(f"{limit} ({min(all_but, listed, key=len)})")
+        listed = join_words(map(text, groups[limit]))
+        all_but = text("limit-everywhere", other=join_words(map(text, others)) if others else "")
+        directions = min(all_but, listed, key=lambda form: len(form.en))
+        parts.append(text("limit-in-directions", limit=limit, directions=directions))
     if has_else and len(limits) > 1:
-        parts = [*parts[1:], text("limit-otherwise", limit=limits[0]).en]
-    return ", ".join(parts)
+        parts = [*parts[1:], text("limit-otherwise", limit=limits[0])]
+    return join_words(parts, "limits-separator")
 
 
-_MAX_LIMITS_WIDTH = 58
-"""Largest width of all limits in the short answer [characters]. The words before the limits take
-42 of the 100 characters of a line."""
+_MAX_LIMITS_WIDTHS = {"en": 58, "zh": 74}
+"""{language: largest width of all limits in the short answer [columns]}. The words before the
+limits take 42 of the 100 columns of a line in English, and 26 in Chinese."""
 
 
 def _list_names(limit: Diagnostic) -> tuple[str, ...]:

@@ -63,6 +63,12 @@ def list_template_names(template: str) -> set[str]:
     return {*optional, *holes}
 
 
+def list_templates(code: str) -> list[str]:
+    """Return the templates of a diagnostic's text and short form, in both languages."""
+    message = entry(code)
+    return [*message.templates.values(), *message.short_templates.values()]
+
+
 @cache
 def made_calls() -> tuple[tuple[str, ast.Call], ...]:
     """All calls in the package, each with its module."""
@@ -152,8 +158,9 @@ def test_catalogue_equals_tomllib_and_each_code_is_in_one_file() -> None:
     for read in WORDS.values():
         found += list(read)
         for code, stated in read.items():
-            assert set(stated) <= {"severity", "group", "short", *LANGUAGES}, code
-            assert entry(code).short == stated.get("short", "")
+            assert set(stated) <= {"severity", "group", "short", "short_zh", *LANGUAGES}, code
+            short_forms = {"en": stated.get("short", ""), "zh": stated.get("short_zh", "")}
+            assert dict(entry(code).short_templates) == short_forms
             assert dict(entry(code).templates) == {one: stated[one] for one in LANGUAGES}
     assert sorted(found) == CODES
 
@@ -171,7 +178,9 @@ def test_each_code_has_a_message_in_both_languages() -> None:
         assert list_template_names(message.templates["en"]) == list_template_names(
             message.templates["zh"]
         ), code
-        assert len(message.short) <= len(message.templates["en"]), code
+        assert len(message.short_templates["en"]) <= len(message.templates["en"]), code
+        chinese = re.sub(r"\[!?\w+\?|\]", "", message.short_templates["zh"])  # without conditions
+        assert len(chinese) <= len(message.templates["zh"]), code
         words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", message.templates["en"])
         if re.search("[a-z]{4}", words) and "pip install" not in words:
             assert HAN.search(message.templates["zh"]), code
@@ -192,10 +201,7 @@ def test_every_template_gets_its_values() -> None:
         f"{where} {code}": missing
         for where, code, given in find_diagnose_calls()
         if given is not None
-        and (
-            missing := list_template_names(f"{entry(code).templates['en']}{entry(code).short}")
-            - given
-        )
+        and (missing := list_template_names("".join(list_templates(code))) - given)
     }
     assert lacking == {}
 

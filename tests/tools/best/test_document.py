@@ -98,12 +98,13 @@ def test_second_line_states_the_stance_found() -> None:
     stand = SimpleNamespace(task=SimpleNamespace(height=0.1806))
     coordinates = {"height": 0.1806, "x": 0.0131, "pitch": np.radians(0.8), "FR x": 3e-3}
     best = SimpleNamespace(stand=stand, coordinates=coordinates | {"FR y": -4e-3, "yaw": 1e-9})
-    assert _shorten_coordinates(best) == (
-        "found: base height 180.6 mm, x +13 mm, pitch +1 deg; feet moved ≤5 mm"
-    )
+    line = _shorten_coordinates(best)
+    assert line.en == "found: base height 180.6 mm, x +13 mm, pitch +1 deg; feet moved ≤5 mm"
+    chinese = "机身高度 180.6 mm、x 方向 +13 mm、俯仰 +1 deg；足端移动 ≤5 mm"
+    assert line.zh == f"最佳站姿：{chinese}"
     turned = {"x": 0.03, "y": 0.04, "roll": np.radians(-3), "pitch": np.radians(2)}
     best.coordinates |= turned | {"yaw": np.radians(-1)}
-    line = _shorten_coordinates(best)
+    line = _shorten_coordinates(best).en
     axes = "x +30, y +40 mm, roll -3, pitch +2, yaw -1 deg"
     assert line == f"found: base height 180.6 mm, {axes}; feet moved ≤5 mm"
     assert len(f"  {line}") <= MAX_ANSWER_WIDTH

@@ -146,6 +146,7 @@ def test_one_edited_mass_is_the_answer_if_links_are_fixed_to_the_body(tmp_path: 
     assert masses == pytest.approx((1.5, 1.7))
     document = diff_document(diff)
     assert document.findings[0].short == "thigh mass 1 -> 1.2 kg (+20 %)"
+    assert document.findings[0].short_zh == "thigh 质量 1 -> 1.2 kg（+20 %）"
     block = document.blocks[0]
     assert isinstance(block, FileFinding)
     stated = "sum of the link and its fixed links; stated: thigh 1 -> 1.2 kg"
@@ -163,6 +164,8 @@ def test_first_line_names_the_most_urgent_change(tmp_path: Path) -> None:
     old = pendulum()["bob"].mass
     edited = f"bob mass {old:.4g} -> 3 kg ({100 * (3 / old - 1):+.3g} %)"
     assert line.short == edited
+    change = f"{100 * (3 / old - 1):+.3g} %"
+    assert line.short_zh == f"bob 的质量 {old:.4g} -> 3 kg（{change}）"
     # A single further change is named: by its kind if it is of the same link.
     for element, ending in (("bob", "also inertia"), ("arm", "also arm inertia")):
         message = diff.changes[0].diagnostic

@@ -190,6 +190,7 @@ def test_second_line_names_the_joint_of_the_payload_and_the_mass_without_compens
     assert joint
     assert line.short.startswith(f"payload {held.payload.worst_posture_mass:.3g} kg at ")
     assert line.short.endswith(ending.format(joint=joint))
+    assert f"最不利姿态，受限于 {joint}" in line.short_zh
     (table,) = [
         block
         for block in document.blocks

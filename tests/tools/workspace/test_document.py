@@ -102,15 +102,20 @@ def test_limits_that_are_too_wide_are_abbreviated() -> None:
     names = ("height", "x", "y", "roll", "pitch", "yaw")
     result = SimpleNamespace(limits=dict.fromkeys(names, (ends[0], ends[0])))
     result.limits |= {"x": (ends[1], ends[1]), "roll": (ends[2], ends[2])}
-    assert (
-        _abbreviate_limits(result) == "reach (all but x, roll), support (x), end of search (roll)"
-    )
+    expected = "reach (all but x, roll), support (x), end of search (roll)"
+    assert _abbreviate_limits(result, "en") == expected
+    chinese = "可达范围（除 x 方向、横滚 外全部），支撑多边形（x 方向），全部范围（横滚）"
+    assert _abbreviate_limits(result, "zh") == chinese
     result.limits["y"] = result.limits["x"]
     expected = "support (x, y), end of search (roll), else reach"
-    assert _abbreviate_limits(result) == expected
+    assert _abbreviate_limits(result, "en") == expected
+    assert _abbreviate_limits(result, "zh").startswith("支撑多边形（x 方向、y 方向），全部范围")
     ground = diagnose("workspace-ends-at-ground", links=("foot",))
     result.limits["pitch"] = (ends[0], ground)
-    assert _abbreviate_limits(result) == "reach, support, end of search, ground (by direction: -v)"
+    assert (
+        _abbreviate_limits(result, "en")
+        == "reach, support, end of search, ground (by direction: -v)"
+    )
 
 
 def test_ends_of_short_ranges_are_within_reach() -> None:
