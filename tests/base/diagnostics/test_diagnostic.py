@@ -186,6 +186,15 @@ def test_each_code_has_a_message_in_both_languages() -> None:
             assert HAN.search(message.templates["zh"]), code
 
 
+def test_short_form_contains_the_short_forms_of_inner_diagnostics_in_its_language() -> None:
+    inner = diagnose("triangle-inequality", share=Quantity(0.9, "1"))
+    message = diagnose("error-at", where="a.urdf", what=inner)
+    assert message.short == "a.urdf: inertia violates the triangle inequality by 90 %"
+    assert message.short_zh == "a.urdf：惯量违反三角不等式，相差 90 %"
+    without = diagnose("problem", problem="text")
+    assert (without.short_zh, without.get_short_form("zh")) == ("", without.text("zh"))
+
+
 @pytest.mark.slow
 def test_catalogue_contains_exactly_the_codes_in_use() -> None:
     """Reference: all calls in the package's syntax trees."""

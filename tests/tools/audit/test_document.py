@@ -209,6 +209,8 @@ def test_answer_names_the_exchanged_limits_first_and_counts_equal_findings(tmp_p
         lines[1]
         == "  first: left_shank and 3 more: inertia violates the triangle inequality by 90 %"
     )
+    lines = answer("audit", "a.urdf", "--language", "zh", folder=tmp_path).stdout.splitlines()
+    assert lines[1] == "  首先：left_shank（另有 3 个）：惯量违反三角不等式，相差 90 %"
     path.write_text(text.replace('lower="-1" upper="1"', 'lower="1" upper="-0.5"', 1))
     lines = answer("audit", "a.urdf", folder=tmp_path).stdout.splitlines()
     assert lines[1].startswith("  first: left_knee: lower limit is 57.2958")
