@@ -31,7 +31,6 @@ from pupper_analysis.prepare.notes import report_joints_without_actuator, report
 from pupper_analysis.prepare.own_run import (
     describe_import_failure,
     find_posture_keyframe,
-    get_loaded_robot,
     simulate_fixed_base,
 )
 from pupper_analysis.prepare.self_check import (
@@ -57,7 +56,7 @@ from pupper_analysis.robot.build import (
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.masses import describe_missing_masses
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
 from pupper_analysis.simulation.trial import (
@@ -125,7 +124,7 @@ def judge_simulation(
     fed, alone, null = _add_failures(robot, stand, fed, alone, statics, trial, kp, kd)
     published = compare_as_published(robot, stand, servos, kp, kd)
     unknown = None if statics is None else describe_unknown_limits(robot, statics)
-    masses = describe_missing_masses(loaded)
+    masses = describe_missing_masses(robot)
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
     given = servos.source is ServoSource.GIVEN
     overloaded_motors = (

@@ -67,7 +67,7 @@ from pupper_analysis.robot.fall import (
     was_reset_by_mujoco,
 )
 from pupper_analysis.robot.joints import joint_unit, leg_joints
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.stance.posture import close_posture
 
 _CTRL_ANGLE_RTOL = 0.1
@@ -94,16 +94,6 @@ _MAX_RESTING_SPEED = 5e-3
 """Upper bound of the speeds of a robot at rest [m/s, rad/s]. Chosen between two measured speeds:
 feet of ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or more.
 """
-
-
-def get_loaded_robot(robot: Robot) -> Robot:
-    """Return the robot as it was loaded from files, without later changes such as a payload.
-
-    Changed MuJoCo options remain, for example (`with_options`).
-    """
-    published = robot.published
-    loaded = robot if published is None or published.loaded is None else published.loaded
-    return loaded if loaded.bare is None else loaded.bare
 
 
 def own_run(robot: Robot) -> OwnRun | None:

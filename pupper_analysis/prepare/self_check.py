@@ -35,7 +35,6 @@ from pupper_analysis.prepare.causes import (
     list_ties,
 )
 from pupper_analysis.prepare.own_run import (
-    get_loaded_robot,
     get_published_model,
     keyframe_name,
     own_run,
@@ -74,7 +73,7 @@ from pupper_analysis.robot.fall import (
     nudge_velocity,
     tilt_between,
 )
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.robot.servos import list_position_servos, resolve_servo_gains
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
 from pupper_analysis.simulation.verify import (

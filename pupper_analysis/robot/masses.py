@@ -6,17 +6,19 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.mjcf import compile_spec, lower_boundmass
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message about links that got a mass, or whose negative mass was moved, in loading.
 
-    Bodies whose mass is the ``boundmass`` of the MJCF's compiler also got a mass.
+    Bodies whose mass is the ``boundmass`` of the MJCF's compiler also got a mass. The robot as
+    loaded is evaluated, since a payload at such a body does not state the mass of the body.
 
     Returns:
         The message; None without such links.
     """
+    robot = get_loaded_robot(robot)
     given = [
         note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
     ]

@@ -1006,6 +1006,16 @@ def _check_bodies(robot: Robot) -> None:
             raise ModelError(robot.description.urdf_source, problem)
 
 
+def get_loaded_robot(robot: Robot) -> Robot:
+    """Return the robot as it was loaded from files, without later changes such as a payload.
+
+    Changed MuJoCo options remain, for example (`with_options`).
+    """
+    published = robot.published
+    loaded = robot if published is None or published.loaded is None else published.loaded
+    return loaded if loaded.bare is None else loaded.bare
+
+
 _MAX_POOL_SIZE = 8
 """Maximum number of unused objects (for example MuJoCo data) in the pool of all robots (`borrow`).
 Chosen, not tuned."""

@@ -37,7 +37,6 @@ from pupper_analysis.prepare.limits import (
     describe_zero_torque_limits,
     loads_motor_without_torque,
 )
-from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.alike import group_joints, name_joints
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.build import report_placeholder_inertias
@@ -46,7 +45,7 @@ from pupper_analysis.robot.joints import (
     is_slide,
 )
 from pupper_analysis.robot.masses import describe_missing_masses
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation.controlled_stand import (
@@ -422,7 +421,7 @@ def study_gains(
         curve_least_dampings=least_dampings,
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
-        missing_masses=describe_missing_masses(get_loaded_robot(robot)),
+        missing_masses=describe_missing_masses(robot),
         ties=describe_ties(robot, stand),
         placeholder_inertias=report_placeholder_inertias(get_loaded_robot(robot)),
     )

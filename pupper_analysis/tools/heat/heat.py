@@ -26,7 +26,6 @@ from pupper_analysis.models.motors.thermal import (
     list_unknown_thermal_numbers,
 )
 from pupper_analysis.prepare.judge import describe_ties
-from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.masses import describe_missing_masses
 from pupper_analysis.robot.robot import Robot
@@ -307,7 +306,7 @@ def study_heat(
         else (battery_energy / loss if loss else math.inf),
         times=times,
         temperatures=compute_curves(times),
-        missing_masses=describe_missing_masses(get_loaded_robot(robot)),
+        missing_masses=describe_missing_masses(robot),
         ties=describe_ties(robot, stand),
     )
 

@@ -31,10 +31,9 @@ from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.prepare.convert.from_urdf import has_limbs
 from pupper_analysis.prepare.judge import describe_violated_keyframe, judge_simulation
-from pupper_analysis.prepare.own_run import get_loaded_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.alone import find_mass_by_commands_alone
