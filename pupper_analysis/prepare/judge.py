@@ -105,7 +105,8 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of ``simulate_nudges``; None to nudge the stand here, if necessary.
+        trial: Result of ``simulate_nudges``; None to simulate these nudges here, if necessary.
+            If larger nudges are necessary, these are simulated here in both cases.
         kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
@@ -388,8 +389,9 @@ def _fail_if_upset(
     """Mark a simulation as failed if the stand fails after a nudge; return the result.
 
     A nudge is an initial velocity of the base. ``trial`` is the result of ``simulate_nudges``; if
-    None, the stand is nudged here if necessary. ``fragile`` is True for a stand that fails without
-    feed-forward.
+    None, these nudges are simulated here, if necessary. Large nudges are simulated here in both
+    cases: after survived nudges if the servos are stiff, or if no other nudges are necessary.
+    ``fragile`` is True for a stand that fails without feed-forward.
     """
     speed = BASE_NUDGE_SPEED
     # Stiff servos saturate at small deviations, and may shake after large nudges.
@@ -575,7 +577,8 @@ def judge_stand(
     Args:
         robot: Robot.
         stand: Stand.
-        trial: Result of ``simulate_nudges``; None to nudge the stand here, if necessary.
+        trial: Result of ``simulate_nudges``; None to simulate these nudges here, if necessary.
+            If larger nudges are necessary, these are simulated here in both cases.
         kp: Servo stiffness [N m/rad, N/m], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad, N s/m], scalar or (nu,); None: value of the model.
 
