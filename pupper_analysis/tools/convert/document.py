@@ -29,13 +29,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         blocks.append(doc.Lines(left, "warn", text("not-converted"), detail=True))
     return doc.Document(
         text("conversion"),
-        text(
-            "old-and-new-except-servos"
-            if conversion.agree and _has_servo_note(conversion)
-            else "old-and-new",
-            old=_format_file_name(conversion.source),
-            new=_format_file_name(conversion.output),
-        ),
+        _make_title(conversion),
         tuple(blocks),
         passed=conversion.passed,
         verdict=text(_get_verdict_key(conversion)),
@@ -53,9 +47,16 @@ def _is_servo_note(note: Diagnostic) -> bool:
     return note.code == "servos-of-variant-not-used"
 
 
-def _has_servo_note(conversion: Conversion) -> bool:
-    """Return True if the servos differ from those of the converted variant's MJCF."""
-    return any(map(_is_servo_note, conversion.notes))
+def _make_title(conversion: Conversion) -> doc.Text:
+    """Return the names of source and new file, and what differs from the variant's own MJCF."""
+    note = next(filter(_is_servo_note, conversion.notes), None)
+    names = {
+        "old": _format_file_name(conversion.source),
+        "new": _format_file_name(conversion.output),
+    }
+    if not conversion.agree or note is None:
+        return text("old-and-new", **names)
+    return text("old-and-new-except-servos", **names, armature=note.values["other_armature"])
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
@@ -107,7 +108,9 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
     compared = conversion.comparison
     count, run = len(compared.differences), conversion.verification
     # Line 2 states the servos, if there is a note about these; otherwise the stand.
-    stands = run is not None and run.passed and _has_servo_note(conversion) and not count
+    stands = (
+        run is not None and run.passed and any(map(_is_servo_note, conversion.notes)) and not count
+    )
     deviation = text(
         "differences-from-source-count",
         source=doc.Name(conversion.source),

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import mujoco
+import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -262,11 +264,13 @@ def _list_changed_servos(
 ) -> Iterator[Diagnostic]:
     """Yield a note if the servos of a new MJCF differ from the servos of the variant's own MJCF.
 
-    ``variant`` is None for another source, ``robot`` if the new file has no robot.
+    The note also states both armatures, if they differ: a URDF contains none. ``variant`` is None
+    for another source, ``robot`` if the new file has no robot.
     """
     if variant is None or robot is None:
         return
-    own, new = list_position_servos(load_variant(variant)), list_position_servos(robot)
+    published = load_variant(variant)
+    own, new = list_position_servos(published), list_position_servos(robot)
     if not own or not new or own == new:
         return
     spans: dict[str, Any] = {}
@@ -275,9 +279,20 @@ def _list_changed_servos(
             values = [gains[index] for gains in servos.values()]
             spans[f"{owner}_{name}"] = describe_span(values, unit)
             spans[f"{owner}_{name}_number"] = describe_span(values, "1")
+    own_armatures, new_armatures = map(_read_joint_armatures, (published, robot))
+    spans["own_armature"] = describe_span(own_armatures, "kg m^2")
+    spans["new_armature"] = describe_span(new_armatures, "1")
+    spans["other_armature"] = not np.allclose(own_armatures, new_armatures, rtol=1e-6, atol=0.0)
     yield diagnose(
         "servos-of-variant-not-used", variant=str(getattr(variant, "name", variant)), **spans
     )
+
+
+def _read_joint_armatures(robot: Robot) -> Array:
+    """Return the armature of each joint in MuJoCo, in actuator order, shape (nu,) [kg m^2, kg]."""
+    joints = robot.mj_convention.qvel_index[-robot.nu :]
+    armatures: Array = robot.mj_model.dof_armature[joints]
+    return armatures
 
 
 def _check_output(output: Path, *, force: bool) -> None:

@@ -41,6 +41,7 @@ from tests.support.robots import (
     urdf_text,
 )
 from tests.support.round_trips import of_mjcf, of_urdf, round_trip, silent_losses
+from tests.support.variants import load
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
 
@@ -642,12 +643,15 @@ def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path) -> None:
-    """References: kp and kd of MuJoCo's compiled models; the note is about variants only."""
+    """References: kp, kd and armature of MuJoCo's compiled models; the note is about variants only.
+
+    The armature was not named: the largest stable kd of v3 is 2.6 with it, and 0.67 without.
+    """
     done = pa.convert_model("v3", tmp_path / "new.xml")
     (note,) = [note for note in done.notes if note.code == "servos-of-variant-not-used"]
     document = conversion_document(done)
     assert document.verdict.en == "AGREE"
-    assert document.title.en == "v3 and new.xml, except the servos"
+    assert document.title.en == "v3 and new.xml, except servos and armature"
     assert document.findings[0].short.endswith("; stands 12 s")
     assert document.next_step is not None
     assert document.next_step.words[1:] == ("--kp", "5", "--kd", "0.1")
@@ -656,6 +660,16 @@ def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path)
     assert gains[0] != pytest.approx(gains[1])
     for kp, kd in gains:
         assert f"kp {kp:.3g} N m/rad, kd {kd:.3g} N m s/rad" in str(note)
+    armatures = [model.dof_armature[-1] for model in (new, own)]
+    assert armatures[0] == 0
+    assert f"armature of {armatures[1]:.3g} kg m^2 (--armature)" in str(note)
+    line = document.findings[1].short
+    assert "armature 0; the MJCF has" in line
+    assert line.endswith(f"kp 5, kd 0.1, armature {armatures[1]:.3g} kg m^2")
+    same = pa.convert_model(
+        "v3", tmp_path / "same.xml", armature=dict.fromkeys(load("v3").joint_names, armatures[1])
+    )
+    assert conversion_document(same).title.en == "v3 and same.xml, except the servos"
     file = pa.convert_model(ROOT / "urdf/pupper_v3.urdf", tmp_path / "file.xml")
     assert all(note.code != "servos-of-variant-not-used" for note in file.notes)
 
