@@ -72,7 +72,8 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
 
     Raises:
         InputError: If the file is missing, is no regular file, or is too large, for example.
-        OutputError: If the run will write this file, unless ``rewritten`` is set.
+        OutputError: If this run of the command line also writes this file, unless ``rewritten`` is
+            set.
     """
     try:
         status = path.stat()
@@ -150,7 +151,8 @@ def read_input(path: Path, most: int, *, rewritten: bool = False) -> bytes:
 
     Raises:
         InputError: If the file is missing, is no regular file, is too large, or cannot be read.
-        OutputError: If the run will write this file, unless ``rewritten`` is set.
+        OutputError: If this run of the command line also writes this file, unless ``rewritten`` is
+            set.
     """
     check_input(path, most, rewritten=rewritten)
     try:
@@ -178,7 +180,7 @@ def read_text(path: Path) -> str:
 
     Raises:
         InputError: If the file cannot be read, is too large, or is not UTF-8 text.
-        OutputError: If the run will write this file.
+        OutputError: If this run of the command line also writes this file.
     """
     return decode_input(path, read_input(path, MAX_TEXT_BYTES))
 
@@ -213,7 +215,7 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     Raises:
         InputError: If the file cannot be read, is no valid TOML, or contains too long a key or
             text, for example.
-        OutputError: If the run will write this file.
+        OutputError: If this run of the command line also writes this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))
     try:
@@ -291,7 +293,7 @@ def read_content(path: Path, most: int) -> bytes:
     Raises:
         InputError: If the file is missing, is no regular file, has more than ``most`` bytes, or
             cannot be read.
-        OutputError: If the run will write this file.
+        OutputError: If this run of the command line also writes this file.
     """
     if not is_held(path):
         return read_input(path, most)

@@ -141,7 +141,7 @@ def register_input(path: str | os.PathLike[str]) -> None:
     A missing file, and a file that the run itself has written, are ignored.
 
     Raises:
-        OutputError: If the run will write this file.
+        OutputError: If this run of the command line also writes this file.
     """
     run = _current_run.get()
     if run is None:

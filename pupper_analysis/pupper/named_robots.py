@@ -70,7 +70,7 @@ def find_model(
         VariantError: If the word is refused (`refuse_unknown_variant`), or the scales give no valid
             model.
         ModelError: If the folder of the base files is missing, for example.
-        OutputError: If the run will also write a base file of a scaled variant.
+        OutputError: If this run of the command line also writes a base file of a scaled variant.
     """
     if not is_variant(model):
         if isinstance(model, str | Path):
@@ -112,7 +112,7 @@ def find_model_pair(
         VariantError: If a word is refused (`refuse_unknown_variant`), or the scales give no valid
             model.
         ModelError: If the folder of the base files is missing, for example.
-        OutputError: If the run will also write a base file of a scaled variant.
+        OutputError: If this run of the command line also writes a base file of a scaled variant.
     """
     first = find_model(urdf, "urdf")
     if mjcf is None and not is_variant(urdf):

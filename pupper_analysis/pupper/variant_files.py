@@ -69,7 +69,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
         ModelError: If a base file is missing, for example.
-        OutputError: If the run will write a base file.
+        OutputError: If this run of the command line also writes a base file.
     """
     spec = get_variant_spec(variant)
     base = BASE_MODELS[spec.base]
@@ -230,7 +230,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``fixed_base`` is not a bool.
         ModelError: If a base file is missing, for example.
-        OutputError: If the run will write a base file.
+        OutputError: If this run of the command line also writes a base file.
     """
     spec = get_variant_spec(variant)
     check_type("fixed_base", fixed_base, bool)

@@ -42,7 +42,7 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         ConfigurationError: If the file cannot be read, contains no configuration, or belongs to
             another robot, for example.
         UnknownNameError: If the file contains a joint name that the robot lacks.
-        OutputError: If the run will write this file.
+        OutputError: If this run of the command line also writes this file.
     """
     path = Path(path)
     try:

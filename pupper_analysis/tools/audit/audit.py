@@ -78,7 +78,7 @@ def audit_model(
         VariantError: If ``path`` is a word without suffix that names no variant, existing path or
             published robot, or the scales of a variant give no valid model.
         UnknownNameError: If MuJoCo Menagerie has no robot with the name in ``path``.
-        OutputError: If the file is also an output file of the running command.
+        OutputError: If this run of the command line also writes the file.
     """
     path = find_model(path, "mjcf")
     if isinstance(disabled, str):

@@ -199,8 +199,8 @@ def check_repository(
             example.
         ModelError: If the configuration or the baseline is invalid, or the files of the revision
             cannot be read, for example without git or repository.
-        OutputError: If the baseline cannot be written, or an output file of the command is also a
-            file to be checked.
+        OutputError: If the baseline cannot be written, or this run of the command line also writes
+            a file to be checked.
     """
     require_path("config", config)
     settings = read_config(Path(config) if config is not None else find_config())

@@ -143,7 +143,7 @@ def read_contract(
             give no valid model.
         UnknownNameError: If MuJoCo Menagerie has no robot with the name in a source.
         MissingPackageError: If the package that reads the format of a model is not installed.
-        OutputError: If a source is also an output file of the running command.
+        OutputError: If this run of the command line also writes a source.
         ModelError: If a file does not exist, no model can be read, or no other source can be used,
             for example because it contains no joint of the robot.
     """

@@ -120,8 +120,8 @@ def read_model_file(path: Path) -> RobotModel:
 
     Raises:
         ModelError: If the file cannot be read, or is no valid model, for example.
-        OutputError: If the running command also writes the file, or a file that a xacro file
-            includes.
+        OutputError: If this run of the command line also writes the file, or a file that a xacro
+            file includes.
         MissingPackageError: If the reader of the format needs a package that is not installed.
     """
     reader = reader_of(path)
