@@ -166,8 +166,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Fit a sphere to the lowest points of a foot, to use the sphere as contact shape.
 
     The fit is linear least squares: the equation |p - c|^2 = r^2 is linear in c and r^2 - |c|^2.
-    The lowest parts of the foot, of several heights, are fitted. A sphere is rejected if the points
-    deviate from its surface, for example.
+    Four parts at the lower end of the foot, 10 to 45 mm high, are fitted. A sphere is rejected if
+    the points deviate from its surface, for example.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -175,8 +175,8 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
-        Centre, shape (3,) [m], in the frame of the points, and radius [m], of the accepted sphere
-        with the largest fitted height. The radius is the distance along ``down`` from the centre to
+        Centre, shape (3,) [m], in the frame of the points, and radius [m], of the sphere that was
+        accepted for the highest part. The radius is the distance along ``down`` from the centre to
         the tip. If no sphere is accepted: the tip and 0.
     """
     found = tip, 0.0

@@ -259,10 +259,11 @@ def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
 def compare_with_file(
     published: PublishedModel, robot: Robot, predictions: Sequence[PredictedRest]
 ) -> Published:
-    """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
+    """Simulate the unmodified file from predicted equilibria, and list causes of a deviation.
 
-    If the file cannot be simulated, for example without level ground, the cause is listed. A
-    deviation without a cause does not count if the prepared robot moves like the file
+    Of several simulations with a deviation, the first is explained. If the file cannot be
+    simulated, for example without level ground, the reason is listed as the cause. If no cause is
+    found, the deviation counts as agreement if the prepared robot moves like the file
     (`_keep_moving_alike`).
 
     Args:
