@@ -507,8 +507,9 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is ERROR if positive masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`. Pairs
-    whose mass only belongs to another link of the same rigid group are left out.
+    The severity is ERROR if positive masses have at least the ratio `IMPOSSIBLE_MASS_RATIO`. A pair
+    is left out if mass and CoM of the two rigid groups (each link with the links fixed to it)
+    agree: then only the assignment of the mass to the links of a group differs.
     """
     mirror = find_mirror_plane(robot)
     for first, second in _list_body_pairs(robot):
