@@ -816,7 +816,7 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
                 "order",
                 message,
                 (sides[0], sides[1]),
-                _ORDER_KIND,
+                _LIST_KIND,
                 joints=moved_joints,
                 mistake="order",
             )
@@ -857,7 +857,7 @@ def _compare_motors(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
             for source in (first, second)
         ]
         yield _make_disagreement(
-            "order", message, (sides[0], sides[1]), _ORDER_KIND, joints=moved, mistake="order"
+            "order", message, (sides[0], sides[1]), _LIST_KIND, joints=moved, mistake="order"
         )
 
 
@@ -886,7 +886,7 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
                 for source in (first, second)
             ]
             yield _make_disagreement(
-                "observations", message, (sides[0], sides[1]), _ORDER_KIND, mistake="order"
+                "observations", message, (sides[0], sides[1]), _LIST_KIND, mistake="order"
             )
 
 
@@ -916,7 +916,7 @@ def _compare_network_sizes(
                 stated=bool(stated),
             )
             # The order may contain joints without an actuator.
-            kind = _ORDER_KIND if actions > joints else _FEWER_ACTIONS_KIND
+            kind = _LIST_KIND if actions > joints else _FEWER_ACTIONS_KIND
             yield _make_disagreement("actions", message, (reference, fact), kind)
             continue
         inputs = placed_source.facts.get(("observed numbers", ""))
@@ -934,7 +934,7 @@ def _compare_network_sizes(
             values=known,
             unknown=unknown,
         )
-        yield _make_disagreement("observed numbers", message, (reference, inputs), _ORDER_KIND)
+        yield _make_disagreement("observed numbers", message, (reference, inputs), _LIST_KIND)
 
 
 def _count_observed_values(
@@ -976,12 +976,12 @@ def _is_number_of_inputs_possible(
     return inputs > 0 and known > 0 and inputs % known == 0
 
 
-_ORDER_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
-"""Properties of a disagreement about the order of joints or observations: no unit, and the severity
-ERROR."""
+_LIST_KIND = QuantityKind("", Severity.ERROR, 0, is_setting=True)
+"""Properties of a disagreement about the order or the number of joints, actions or observations:
+without unit, with the severity ERROR, and without a comparison of left and right joints."""
 
 
-_FEWER_ACTIONS_KIND = _ORDER_KIND._replace(severity=Severity.WARNING)
+_FEWER_ACTIONS_KIND = _LIST_KIND._replace(severity=Severity.WARNING)
 """Properties of a disagreement about a policy with fewer actions than joints."""
 
 

@@ -128,8 +128,9 @@ def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
 
 
 def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
-    """Return the rules of keys that state numbers in a format; rules of the user are the last.
+    """Return the rules that find numbers in a file of a format by the names of keys.
 
+    Rules of the user are the last, and have precedence. Rules of joint orders are left out.
     ``form`` is ``table``, ``trainer`` or ``actuator``; ``source`` is the file to which the rules
     are applied.
 
