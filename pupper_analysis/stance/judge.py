@@ -262,8 +262,8 @@ class Stand(Pictured, Tabular):
     def com_shortfall(self) -> float:
         """Required CoM margin minus the actual margin [m], at least 0.
 
-        0 if the position of the CoM is a result: the task has an ``offset`` of the base, and no
-        margin.
+        Also 0 if the task has an ``offset`` of the base and no margin: the task then prescribes the
+        position of the base, not of the CoM.
         """
         if self.task.offset is not None and self.task.com_margin == 0.0:
             return 0.0

@@ -570,10 +570,10 @@ def nominal_foot_positions(robot: Robot) -> dict[str, Array]:
 
 
 def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Return {foot: horizontal position (2,) [m]} by ``feet`` and ``foot_offsets`` of a task.
+    """Return {foot: horizontal position (2,) [m], in the world frame} that a task requires.
 
-    Positions are in the world frame. The default is that in the nominal pose
-    (`nominal_foot_positions`).
+    The position is that in the ``feet`` of the task, or else the position in the nominal pose
+    (`nominal_foot_positions`), plus the ``foot_offsets`` of the task.
     """
     nominal = nominal_foot_positions(robot)
     return {
@@ -583,10 +583,10 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 
 
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
-    """Compute {contact point: target of its sphere centre, (3,) [m]} on rigid ground for a task.
+    """Compute {contact point: target of its sphere centre, (3,) [m]} for a task on rigid ground.
 
     Targets are in the world frame. A sole is laid on its plane or slope by the shortest rotation
-    from the nominal pose.
+    from the nominal pose. Swing feet are raised by the heights in the task's ``swing``.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     foot_targets: dict[str, Array] = {}
