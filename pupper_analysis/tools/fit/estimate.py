@@ -29,8 +29,8 @@ Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.01
-"""Default upper bound of the ratio of predicted decrease to cost with which a stalled minimisation
-ends without error. Any decrease below `_MAX_UNREALISED_DECREASE` is accepted, too. Chosen, not
+"""Default of the largest predicted decrease, as a fraction of the cost, with which a stalled
+iteration gives a result. A decrease below `_MAX_UNREALISED_DECREASE` is accepted, too. Chosen, not
 tuned.
 """
 

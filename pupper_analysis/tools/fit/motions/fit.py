@@ -444,8 +444,9 @@ residual by 0.25 %. Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.1
-"""Upper bound of the ratio of predicted decrease to cost of a stalled iteration with a result.
-Measured on a log of v3 (4 s, encoders of 12 bits): no step realises the last 2 to 10 % of the cost.
+"""Largest predicted decrease, as a fraction of the cost, with which a stalled iteration gives a
+result (``stall_rtol`` of `estimate_parameters`). Measured on a log of v3 (4 s, encoders of 12
+bits): the iteration stalls with a predicted decrease of 2 to 10 %.
 """
 
 _MAX_DERIVATIVE_DISTANCE = 4.0

@@ -69,15 +69,15 @@ times height. The value is so large that this torque has no effect on the fit. C
 """
 
 _MIN_SIGN_BAND = 1e-3
-"""Lower bound of the sign band [rad, m]: the servo error over which the sign of friction changes
-smoothly (`_SIGN_BAND_RATIO`). With a width of 0, derivatives would not exist. Chosen, not tuned.
+"""Lower bound of the sign band b [rad, m], the servo error at which the smooth sign of the friction
+is 0.7 (`_SIGN_BAND_RATIO`). With a band of 0, derivatives would not exist. Chosen, not tuned.
 """
 
 _SIGN_BAND_RATIO = 0.7
-"""Ratio of the sign band to the dead band. The sign band is the servo error over which the sign of
-friction changes smoothly, since dry friction can hold a joint with any torque up to its limit, as
-in Go1 and MEVIUS. Chosen; the confidence intervals of fits with this value were verified on
-simulated robots with dead bands (``docs/explanation/fit.md``).
+"""Ratio [1] of the sign band b to the dead band. With the servo error e, the modelled sign of the
+friction is e / sqrt(e^2 + b^2), which is smooth: at a small servo error, dry friction may have any
+value up to its limit, as simulations of Go1 and MEVIUS show. Chosen; the confidence intervals of
+fits with this value were verified on simulated robots (``docs/explanation/fit.md``).
 """
 
 _HELD_FRICTION_STD = 0.45
@@ -602,7 +602,7 @@ class StandRows:
 
 
 def _compute_sign_band(deadband: float) -> float:
-    """Compute the servo error [rad, m] over which the sign of friction changes smoothly.
+    """Compute the sign band [rad, m] of the friction (`_SIGN_BAND_RATIO`).
 
     ``deadband`` is the servo error [rad, m] at which the servo torque equals the dry friction.
     """

@@ -681,7 +681,9 @@ class _StandProblem:
         return StandEquations(robot, used_stands, table, kp, self.friction, self.noise), notes
 
     def solve(self) -> StandFit:
-        """Estimate the parameters with the expected noise, and again with the estimated noise.
+        """Estimate the parameters with the expected noise, then with the noise of the residuals.
+
+        The second fit is repeated if the dead band, on which the noise depends, has changed.
 
         Raises:
             FitError: If no minimum is found.
