@@ -614,7 +614,7 @@ def parse_continuous_torques(
 def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
     """Limit continuous torques to the peak torques (effort limits) of a robot.
 
-    Joints without a peak torque in both directions are left out.
+    Joints whose peak torque is 0 in one direction are left out. An unknown peak torque is no limit.
 
     Args:
         robot: Robot.

@@ -572,7 +572,7 @@ def _describe_origin(origin: etree._Element) -> str:
 
 
 def states_no_limits(joint: UrdfJoint) -> bool:
-    """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
+    """Return True if a revolute joint has a ``<limit>`` without information about the range.
 
     ``lower`` and ``upper`` are missing, or are zero together with a zero or unknown effort:
     exporters omit these attributes, or write zeros, if the limits are unknown.

@@ -351,7 +351,8 @@ def judged_document(
 def verdict_word(verdict: Verdict, *, ideal_servos: bool = False) -> Text:
     """Return the word that displays a verdict (HOLDS, FAILS ...), in English and Chinese.
 
-    A good verdict gets the restrictions of `qualify_verdict_word`.
+    Restrictions are added to the word of a good verdict (`qualify_verdict_word`): a single model
+    file, and with ``ideal_servos`` also that the simulated servos are ideal.
     """
     return qualify_verdict_word(
         get_verdict_key(verdict), verdict.converted, ideal_servos=ideal_servos

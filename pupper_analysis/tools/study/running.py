@@ -277,10 +277,10 @@ def confirm_ready(work: bytes) -> bool:
 
 
 def has_main_file() -> bool:
-    """Return whether a new process can import the main program, as *spawn* does.
+    """Return True if a new process can import the main program, as the start method *spawn* does.
 
     False if the program is read from standard input: its name ``<stdin>`` is no file. True for a
-    notebook, which has no name and is not imported.
+    notebook: the notebook has no name and is not imported.
     """
     main = sys.modules["__main__"]
     file = getattr(main, "__file__", None)
@@ -288,7 +288,10 @@ def has_main_file() -> bool:
 
 
 def explain_loss(error: BaseException) -> Diagnostic:
-    """Return the message for an error that a worker raised outside of the evaluation."""
+    """Return the message about an error that ends the run of a study: a failure of the workers.
+
+    Errors of a single design are not passed to this function; the row of the design contains them.
+    """
     if isinstance(error, ModuleNotFoundError):
         return diagnose("module-not-on-workers", module=str(error.name))
     return diagnose("workers-lost", error=type(error).__name__)
