@@ -249,7 +249,7 @@ def test_dash_writes_to_standard_output(
 @pytest.mark.parametrize(
     "name", ["../../x", "/x", "a/b", "a\\b", ".", "..", ".x", "a\nb", "a\0b", "x" * 250, 5, "c:x"]
 )
-def test_variant_name_raises_unless_valid_as_a_file_name(name: str) -> None:
+def test_variant_name_that_is_no_valid_file_name_is_refused(name: str) -> None:
     with pytest.raises(VariantError, match="name"):
         pa.pupper.VariantSpec(name=name)
 

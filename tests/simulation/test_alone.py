@@ -56,7 +56,10 @@ def test_mass_is_found_within_the_tolerance(
 
 
 @pytest.mark.parametrize("is_solvable", [True, False])
-def test_robot_that_needs_feedforward_without_payload_carries_nothing(is_solvable: bool) -> None:
+def test_payload_is_zero_if_commands_alone_do_not_hold_the_unloaded_robot(
+    is_solvable: bool,
+) -> None:
+    """Without payload, the robot sinks too fast, or (not ``is_solvable``) there is no stand."""
     simulations = Simulations(lambda _: 1e-3)
 
     def simulate(mass: float) -> Any:
