@@ -311,7 +311,7 @@ class JointSource:
 
 @dataclass(frozen=True)
 class Request:
-    """Request to a reader: which file, and which of its configurations, to read.
+    """Request to a reader: a file, and the configurations to read from the file.
 
     Attributes:
         path: File.

@@ -27,8 +27,8 @@ from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import PlacedSource
 
 _MIN_STATED_FRACTION = 0.5
-"""Smallest fraction of the joints whose default angles a source must state, so that the stand in
-its default pose is computed. Chosen, not tuned.
+"""Smallest fraction [1] of joints with a stated default angle, with which the stand in the default
+pose of a source is computed. Chosen, not tuned.
 """
 
 

@@ -126,12 +126,13 @@ def read_file(request: Request) -> list[JointSource]:
 def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
     """Select the configurations of a file whose joint values are compared with the robot's.
 
-    A configuration is a named set of joint values in the file. Redundant configurations are
-    dropped.
+    A configuration is a named set of joint values in the file. Of configurations with the same
+    content, one is selected. In a training file, a configuration is also dropped if another
+    configuration contains all of its statements.
 
     Raises:
-        ModelError: If a training file has several configurations left, or if no configuration is
-            found.
+        ModelError: If a training file has several configurations that contain different
+            statements, or if no configuration is found.
     """
     kept = list({source.content: source for source in reversed(sources)}.values())[::-1]
     if kept and kept[0].role is Role.TRAINER:
