@@ -242,7 +242,8 @@ def describe_repair(repair: ValueRepair, *, is_stated: bool = True) -> doc.Text:
 
     Args:
         repair: The repair.
-        is_stated: Whether a file states the old value. A xacro macro, for example, computes it.
+        is_stated: Whether a file states the old value. False, for example, if a xacro macro
+            computes the value.
     """
     if repair.is_estimate:
         key = "repair-estimate"

@@ -258,10 +258,10 @@ def measure_joint_gap(robot: UrdfModel, name: str) -> float:
 
 @rule
 def mesh_lies_across(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find a URDF whose COLLADA meshes fit only if they are turned.
+    """Find a URDF with COLLADA meshes that fit the links only with the up axis turned to z.
 
-    The finding names the link with the largest decrease of the distance between its shapes and the
-    next joints by the turn.
+    The turn decreases the distance between the shapes of a link and the next joints. The finding
+    names the link with the largest decrease.
     """
     if not robot.turned:
         return

@@ -840,7 +840,7 @@ def mirror_type(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_unlike_joints(robot: RobotModel) -> Iterator[tuple[Joint, Joint]]:
-    """Yield the fixed and the moving joint of left-right pairs of which one side is fixed."""
+    """Yield (fixed joint, moving joint) of each left-right pair of a fixed and a moving joint."""
     pairs = set(map(frozenset, find_mirror_pairs(robot.links)))
     for names in find_mirror_pairs(robot.joints):
         first, second = (robot.joints[name] for name in names)

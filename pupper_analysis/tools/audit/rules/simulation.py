@@ -50,10 +50,10 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def gravity_compensated(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find moving bodies whose weight `gravcomp` bears, in one finding.
+    """Find moving bodies with nonzero ``gravcomp``, which compensates weight; one finding.
 
-    The severity is NOTE if joints with ``actuatorgravcomp`` add the compensation to the torques of
-    their motors. MuJoCo ignores all values if none is positive, or without gravity.
+    The severity is NOTE if ``actuatorgravcomp`` of a joint adds the compensation to the torque of
+    the motor. MuJoCo ignores all values if no value is positive, or if there is no gravity.
     """
     model = robot.mj_model
     if model is None or not (model.body_gravcomp > 0).any() or not model.opt.gravity.any():
