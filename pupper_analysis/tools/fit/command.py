@@ -407,8 +407,9 @@ def _describe_default_kp(robot: Robot) -> str | None:
 def _propose_gains(robot: Robot, output: Path | None, *, is_log: bool = False) -> Iterator[None]:
     """Add a command to an error about unknown servo gains.
 
-    The command repeats the current one with the gains of the added servos, which the user replaces
-    by the gains of the controller. Without added servos it is `gains`, which prints bounds of kp.
+    The added command repeats the current command with the gains of the added servos. The user
+    replaces these gains by the gains of the controller. Without added servos, the added command is
+    `gains`, which prints bounds of kp.
 
     Args:
         robot: Robot.

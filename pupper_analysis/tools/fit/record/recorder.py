@@ -88,8 +88,8 @@ _REST_RANGE = 1e-3
 """
 
 _REST_WINDOW = 1.0
-"""Duration [s] of the measurements whose range decides whether the robot is at rest, and whose mean
-is the measured joint position. Chosen, not tuned.
+"""Duration [s] of the latest measurements of a stand. The range of these measurements decides if
+the robot is at rest; the mean is the measured joint position. Chosen, not tuned.
 """
 
 LEAD_RATIOS = (1.3, 0.7)
@@ -537,7 +537,11 @@ def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> f
 
 
 def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
-    """Return the names of the stands in a file, after a check that they belong to the plan."""
+    """Return the names of the recorded stands in a file; check that the plan contains the stands.
+
+    Raises:
+        MeasurementError: If a stand is not in the plan, or has other commands or joints.
+    """
     if not path.exists():
         return set()
     recorded = read_stands(path)

@@ -689,7 +689,7 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return these values adapted to one stand: with its attached masses and its heading.
+        """Return these values with the attached masses and the heading of one stand.
 
         Gravity is expressed in axes that are rotated about z by the heading of the stand.
 

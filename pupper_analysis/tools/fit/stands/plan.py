@@ -190,10 +190,10 @@ def _draw_candidates(
     rng: np.random.Generator,
     priors: Sequence[Prior],
 ) -> list[_Candidate]:
-    """Draw the random stands from which the stands of a plan are chosen.
+    """Draw random stands, the candidates for the stands of a plan.
 
-    ``loaded_robot`` carries the known mass ``added`` [kg]; it is ``robot`` itself without such a
-    mass.
+    ``loaded_robot`` is the robot with the known mass ``added`` [kg], or ``robot`` itself if there
+    is no known mass.
 
     Raises:
         MeasurementError: If too few random stands are possible.

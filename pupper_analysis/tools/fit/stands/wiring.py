@@ -35,8 +35,8 @@ that are fitted, because a fit is slow. Chosen, not tuned.
 
 
 _MAX_EXTENDED_WIRINGS = 1
-"""Upper bound of the number of wirings with one error to which a second error is added, if no
-wiring with one error explains the stands. Chosen, not tuned.
+"""Upper bound of the number of wirings with one error, the most probable first, to which a second
+error is added if no wiring with one error explains the stands. Chosen, not tuned.
 """
 
 
