@@ -159,8 +159,8 @@ class JointMotions:
         ``motion`` is the index of the independent joint in ``free``; ``qpos`` has the shape (nu,).
 
         Returns:
-            Displaced posture, shape (nu,). None if a loop cannot be closed within the ranges of its
-            dependent joints. Other joint ranges are not checked.
+            Displaced posture, shape (nu,). None if the motion is nonlinear, and the loop cannot be
+            closed within the ranges of the dependent joints. Other joint ranges are not checked.
         """
         if not self.nonlinear[motion]:
             moved: Array = qpos + length * self.steps[:, motion]

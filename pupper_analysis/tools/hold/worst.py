@@ -280,8 +280,9 @@ _NUM_RANDOM_STARTS = 12
 `_NUM_POOL_STARTS` selected ones. Chosen, not tuned."""
 
 _NUM_POOL_POSTURES = 500
-"""Number of random postures from which start postures are selected, if a robot has closed loops
-whose joints do not move in proportion: their torques have many local maxima. Chosen, not tuned.
+"""Number of random postures from which start postures are selected, if a robot has nonlinear loops
+(joints that do not move in proportion). In such loops, torques have many local maxima. Chosen, not
+tuned.
 """
 
 _NUM_POOL_STARTS = 3
