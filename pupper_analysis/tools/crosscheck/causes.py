@@ -382,9 +382,9 @@ eleven limbs. Chosen, to bound the time."""
 
 
 def _exchange_names(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Exchange joint names in a tree in both directions, also in parents, bodies and frame owners.
+    """Exchange the names of pairs of joints in a tree, also in parents, bodies and frame owners.
 
-    ``names`` is {joint: joint with which it exchanges its name}.
+    ``names`` is {joint: the other joint of the pair}.
     """
     exchanged = {**names, **{new_name: old_name for old_name, new_name in names.items()}}
     joints = {

@@ -281,9 +281,10 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
 
 
 def _describe_largest_mass_change(comparison: Comparison) -> Iterable[doc.Text]:
-    """Yield the link whose mass differs most, unless the first line states a mass.
+    """Yield a text with the link whose mass differs most, relative to the mass in the URDF.
 
-    The difference is relative to the mass in the URDF.
+    Yield nothing if the main problem, in the first line of the report, is a mass, or if the
+    difference is below `MIN_PRINTED_MASS_CHANGE`.
     """
     changes = {
         difference.element: difference.mjcf / difference.urdf - 1
