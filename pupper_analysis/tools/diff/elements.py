@@ -166,14 +166,14 @@ def join_names(ends: Iterable[str]) -> str:
 
 
 def _find_places_by_ends(file: MjcfFile, tag: str, end: str) -> dict[str, Place]:
-    """Return {both ends, as `join_names` writes them: file and line} of pairs or exclusions.
+    """Return {names of both ends, joined by `join_names`: file and line} of pairs or exclusions.
 
-    MuJoCo sorts these elements, so that their order in the model is not that of the file.
+    MuJoCo sorts these elements: the order in the model differs from the order in the file.
 
     Args:
         file: File.
         tag: ``"pair"`` or ``"exclude"``.
-        end: Attribute that states an end, without its number: ``"geom"`` or ``"body"``.
+        end: Attribute of an end, without the number 1 or 2: ``"geom"`` or ``"body"``.
     """
     return {
         join_names(words[f"{end}{number}"] for number in (1, 2)): place

@@ -235,10 +235,10 @@ def _get_uniform_recommendation(study: GainStudy) -> tuple[str, str] | None:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the command to suggest next.
+    """Return the suggested next command: `stand`, or `gains` to get the recommended gains.
 
-    It is `stand`, with recommended gains if these are equal at all joints. If the present gains
-    fail, it writes or prints recommended gains that differ between joints.
+    `stand` has the recommended gains as options if these are equal at all joints. `gains` is
+    suggested if the recommended gains differ between joints, and the present gains fail.
     """
     if recommended := _get_uniform_recommendation(study):
         kp, kd = recommended

@@ -33,8 +33,8 @@ TOKEN_COOKIE = "pupper_analysis_token"
 """Name of the cookie in which a browser stores the access token of the page."""
 
 _LOOPBACK_NAMES = frozenset(("localhost", "127.0.0.1", "::1"))
-"""Host names of a server that only this machine can reach. Without an access token, a
-request is refused unless its host is one of these names, or the host of the server."""
+"""Host names of a server that only this machine can reach. Without an access token, the server
+refuses requests to any host except these names and its own host."""
 
 
 def is_loopback(host: str) -> bool:

@@ -89,14 +89,15 @@ def command(
 
 
 _EXAMPLE_HEIGHT_RATIOS = (0.9, 1.1)
-"""Base heights of the proposed goal, divided by the height of the start stance [1], in the order in
-which they are tried. Chosen, not tuned: the motion is visible, and most legs reach one of both."""
+"""Base heights of the proposed goal, divided by the height of the start stance [1]. The first
+reachable height is proposed. Chosen, not tuned: the motion is visible, and most legs reach one of
+the two heights."""
 
 
 def _refuse_missing_goal(robot: Robot, stand: Stand) -> None:
     """Raise an error about a goal that equals the start stance, with a command that has a goal.
 
-    The command contains a reachable base height; without such a height, it is `workspace`.
+    The command contains a reachable base height. If none is found, the command is `workspace`.
 
     Args:
         robot: Robot.

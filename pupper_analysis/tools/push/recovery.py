@@ -178,9 +178,9 @@ def _study_robot(
     directions: int,
     resolution: float | None,
 ) -> PushedStance:
-    """Find the largest pushes from which one robot recovers, and the verdict without a push.
+    """Find the largest pushes from which a robot recovers, and the verdict without a push.
 
-    ``motors`` is {joint: motor}; the other arguments are those of `study_pushes`.
+    ``motors`` is {joint: motor}; for the other arguments, see `study_pushes`.
     """
     stand = solve_stand_as_simulated(robot, rigid_stand)
     verification = verify_stand(robot, stand, kp=kp, kd=kd, duration=HOLD_DURATION)

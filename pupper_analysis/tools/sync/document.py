@@ -175,8 +175,8 @@ def _find_better_side(sync: Sync) -> str:
 def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
     """Return the number of differences whose value in a file is probably a placeholder.
 
-    A mass is also a placeholder if at least three of the differing links have it in this file, and
-    these links have more than one mass in the other file.
+    A mass is also a placeholder if this file repeats the mass at three or more differing links,
+    and the other file states different masses for these links.
     """
     by_mass: dict[object, list[object]] = {}
     for difference in differences:
