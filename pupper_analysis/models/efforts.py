@@ -469,12 +469,13 @@ as a placeholder. Further conditions are `MIN_OUTLIER_LEVER` and `MAX_OUTLIER_SH
 in use reach the ratio with wrists or fingers as the other joints: 7.3 (Panda), 5.4 (UR5)."""
 
 MIN_OUTLIER_LEVER = 0.6
-"""Lever arm [m] at which an effort carries the weight of the robot, from which an effort far above
-the others counts as a placeholder. Chosen: walking robots in use have 0.1 to 0.5 m."""
+"""Lower bound of effort / weight of the robot [m], a lever arm, with which an effort far above the
+other efforts counts as a placeholder. Chosen: walking robots in use have 0.1 to 0.5 m."""
 
 MAX_OUTLIER_SHARE = 1 / 3
-"""Fraction [1] of the joints up to which an effort far above the others counts as a placeholder.
-Chosen: arms have large motors in half of their joints, for example 3 of 6 (UR5), 4 of 7 (Panda)."""
+"""Upper bound of the fraction [1] of joints with efforts far above the other efforts, with which
+these efforts count as placeholders. Chosen: arms have large motors in half of the joints, for
+example 3 of 6 (UR5), 4 of 7 (Panda)."""
 
 
 @dataclass(frozen=True)

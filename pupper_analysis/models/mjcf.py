@@ -62,9 +62,8 @@ GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "adhesion", "group"),
 )
-"""Attributes that are copied from one geom to another: contact parameters, and ``group``, which
-controls the visibility. ``surfacevel`` is not copied, because it is expressed in the axes of its
-geom."""
+"""Attributes that are copied from a geom to another geom: contact parameters, and ``group``
+(visibility). ``surfacevel`` is not copied, because the axes of the two geoms may differ."""
 
 
 def add_geom(body: mujoco.MjsBody, **attributes: Any) -> mujoco.MjsGeom:

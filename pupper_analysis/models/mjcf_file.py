@@ -760,7 +760,7 @@ class MjcfFile:
 
     @property
     def attaches_models(self) -> bool:
-        """Whether elements of other files are attached, whose lines belong to those files."""
+        """Whether models of other files are attached, whose elements have lines in these files."""
         return len(self._roots) > 1
 
     @property

@@ -91,9 +91,10 @@ def _read_package_name(folder: Path) -> str:
 
 
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield the folders that may contain a ROS package: a given folder, or its subfolder.
+    """Yield the folders that may contain a ROS package: a given folder, and a subfolder.
 
-    A folder may have the name of the package, or state it in its ``package.xml``.
+    The given folder has the name of the package, or a ``package.xml`` with this name. The subfolder
+    has the name of the package.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder

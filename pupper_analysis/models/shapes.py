@@ -432,9 +432,9 @@ class Shape:
 
 
 _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Unit vectors (26, 3) that sample a ball or an ellipsoid: from the centre of a cube to its
-corners, to the middles of its edges, and to the middles of its faces. The next statement normalises
-them."""
+"""Unit vectors, shape (26, 3), that sample a ball or an ellipsoid: directions from the centre of a
+cube to the corners and the middles of edges and faces. The next statement normalises the vectors.
+"""
 
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])

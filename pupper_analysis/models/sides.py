@@ -1,8 +1,8 @@
 """Left-right symmetry of joints and links, derived from names such as ``FL_knee``.
 
-`find_mirror_pairs` pairs the names that differ only in a word for left or right, which one name may
-lack. `find_unlike_pairs` selects the pairs whose motor parameters differ unexpectedly, which
-indicates an error in a file.
+`find_mirror_pairs` pairs the names that differ only in a word for left or right. One of the two
+names may lack the word. `find_unlike_pairs` selects pairs with an unexpected difference of motor
+parameters, which indicates an error in a file.
 """
 
 from __future__ import annotations
