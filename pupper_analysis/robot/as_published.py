@@ -1,9 +1,10 @@
 """Results about the robot as published: own simulation, servos, and causes of deviations.
 
-A prepared robot differs from its published file. Verdicts therefore also simulate the published
-file: from its own keyframe (`OwnRun`), and from a computed equilibrium, which is compared with the
-simulation (`PublishedRun`). The module contains these results, and the limits above which a run
-counts as failed or deviating. `ServosUsed` describes the servos that a result depends on.
+A prepared robot differs from the published file. For a verdict, the published file is therefore
+simulated, too. An `OwnRun` starts from a keyframe of the file. A `PublishedRun` starts from a
+computed equilibrium, and is compared with this equilibrium. The module contains these results, and
+the limits above which a run counts as failed or deviating. `ServosUsed` describes the servos of a
+result.
 
 Other modules compute, evaluate and format these results.
 """

@@ -349,7 +349,11 @@ def _hash_properties(
 def _compile_mujoco_model(
     description: Description, fixed_base: bool
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
-    """Compile the MJCF; return model, qpos (may include a removed free base), and notes."""
+    """Compile the MJCF for a free or a fixed base; return model, start qpos, and notes.
+
+    qpos is that of the keyframe, in MuJoCo's order, including the coordinates of a free joint that
+    was removed; without a keyframe, the ``qpos0`` of the model.
+    """
     spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0), notes

@@ -21,8 +21,8 @@ _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""{type of an equality constraint: number of its scalar equations}, for types whose equations share
-one impedance, which depends on the norm of their violations."""
+"""{type of an equality constraint: number of scalar equations}. Only types with a common impedance
+of all equations, a function of the norm of the violations."""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""

@@ -312,9 +312,9 @@ class Contact:
     def parameters(self) -> tuple[float, ...]:
         """Numbers that define the position or the angle of the plane or bar.
 
-        - Bar: x, y, z of its point [m].
-        - Slope: its angle [rad].
-        - Other plane: its ``parameter`` [m].
+        - Bar: x, y, z of a point on the axis (``Bar.point``) [m].
+        - Slope: angle to the horizontal [rad].
+        - Other plane: ``parameter`` of the plane [m].
         """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 

@@ -188,8 +188,8 @@ _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance from a joint limit [rad, m], up to which a joint counts as near the limit, and at which
-its spectrum is then evaluated on either side of the limit. Reason: centred differences across a
+"""Distance from a joint limit [rad, m] up to which a joint counts as near the limit. The spectrum
+is then evaluated at this distance on either side of the limit, since centred differences across a
 limit mix two regimes."""
 
 _NEUTRAL_RATE = 1e-4

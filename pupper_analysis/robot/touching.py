@@ -113,7 +113,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
-    """Raise a ConfigurationError that ``arguments`` require a hand, if the part is no hand."""
+    """Raise a ConfigurationError if a part is no hand: only hands accept ``arguments``."""
     if not is_hand:
         raise ConfigurationError(
             "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)
