@@ -418,7 +418,10 @@ class ClearanceShapes:
             yield OffGround(index, shape, sunk)
 
     def _intersects_foot(self, shape: CarriedShape, foot: str) -> bool:
-        """Return True if a collision shape on the joint of a foot intersects the foot's sphere."""
+        """Return True if a collision shape intersects the contact sphere of a foot.
+
+        The shape and the foot belong to the same joint. The robot is in the neutral configuration.
+        """
         self.kinematics.update(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)

@@ -321,10 +321,10 @@ class _StandSearch:
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Register an IK result in this search; return its stand if it is solved, else None.
+        """Register an IK result in this search; return the stand if solved, else None.
 
-        A stand is also added to ``reached`` if its feet are only nearly in place, or its soles are
-        slightly tilted.
+        A stand with feet that are only nearly in place, or with slightly tilted soles, is also
+        added to ``reached``.
         """
         self.points.append(point)
         self.iterations += point.iterations

@@ -238,9 +238,9 @@ def _describe_com_mismatch(robot: Robot, stands: Iterable[Stand]) -> Diagnostic 
 
 
 _LIMIT_DISTANCE = 0.01
-"""Distance [rad, m] of a moved joint from its limit (with margin) below which the limit is reported
-as the reason for the end of an interval. Also the displacement above which a joint counts as moved.
-Chosen, not tuned."""
+"""Distance [rad, m] between a moved joint and the joint limit (with margin) below which the limit
+is reported as the reason for the end of an interval. Also the displacement above which a joint
+counts as moved. Chosen, not tuned."""
 
 _EDGE_DISTANCE = 1e-3
 """Excess [m] of a margin or clearance over its required value, below which this requirement is

@@ -181,10 +181,10 @@ def _make_yaw_row(config: Configuration) -> Array:
 
 
 def _can_yaw_freely(system: SagEquilibrium) -> bool:
-    """Return True if one touching point has friction, and nothing else resists a yaw about it.
+    """Return True if a robot can yaw about the only touching point that has friction.
 
-    The ground is then level, gravity is vertical, and the robot has no welds. Torsional friction,
-    which the equations ignore, is not considered.
+    Conditions: the ground is level, gravity is vertical, and the robot has no welds or fixed base.
+    Torsional friction is ignored, as in the equations.
     """
     robot, ground = system.robot, system.stand.task.ground
     rough = sum(system.sliding_friction[foot] > 0 for foot in system.anchors)
