@@ -28,9 +28,8 @@ from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and largest distance [m] by which ``place_on_ground`` lowers the base in the search for a
-depth at which the contacts carry the weight. Each further distance is twice the previous one.
-Chosen, not tuned."""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base, until the contacts
+carry the weight. The distance is doubled in each step. Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
 """Tolerance [m] of the bisection for the distance by which ``place_on_ground`` lowers the base.

@@ -17,9 +17,8 @@ RECORD_INTERVAL = 0.25
 speed. Chosen, not tuned: longer than the flight of a foot that bounces."""
 
 SHAKING_SECONDS = 3
-"""Number of successive windows of simulated time in which a robot must shake without becoming
-clearly slower, so that it shakes without decay. By default, each window is one second long. Chosen,
-not tuned."""
+"""Number of successive windows of simulated time (by default 1 s each). A robot that shakes in all
+these windows without a clear decrease of speed shakes without decay. Chosen, not tuned."""
 
 MIN_SHAKING_SPEED = 1e-2
 """Upper bound of the speed [m/s, rad/s] of a robot that does not shake. Speeds are taken without

@@ -946,8 +946,8 @@ def describe_deviations(
 
 
 _SATURATION_RTOL = 1e-6
-"""Relative tolerance [1] with which a motor counts as saturated: its torque is beyond its limit, or
-below it by at most this fraction of the limit. Chosen, not tuned."""
+"""Relative tolerance [1] of the saturation of motors. A motor counts as saturated if the torque is
+beyond the torque limit, or below the limit by at most this fraction. Chosen, not tuned."""
 
 
 def describe_drive_limits(
