@@ -214,11 +214,10 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 
 
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if each joint whose motor has no torque, but carries a load, has a spring.
+    """Return True if each loaded joint with a motor without torque has a spring.
 
     A linear joint stiffness in the MJCF counts as a spring. A simulation must test if the springs
-    are
-    strong enough.
+    are strong enough.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]

@@ -78,8 +78,8 @@ bound that follows from the time step has priority. Chosen: a joint with a verti
 holds no gravity torque, but must reach the command within some tenths of a second."""
 
 _NUM_POSES = 64
-"""Number of random poses of a robot with a fixed base. In these poses, the gravity torques and
-inertias are computed from which its servo gains follow. Chosen, not tuned."""
+"""Number of random poses of a robot with a fixed base. The servo gains are derived from the gravity
+torques and inertias in these poses. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
 """Divisors of the model's time step [1] that are tried for a robot with added servos, and for
