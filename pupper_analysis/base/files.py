@@ -65,8 +65,8 @@ def hidden_beside(target: Path) -> Path:
 
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
-"""Age [s] after which `remove_stale_files` removes a temporary file, even if its process seems to
-run: process IDs are reused. Chosen: one day, since no write takes that long.
+"""Age [s] after which `remove_stale_files` removes a temporary file, even if the process that wrote
+the file seems to run: process IDs are reused. Chosen: one day, longer than any write.
 """
 
 

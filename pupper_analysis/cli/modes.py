@@ -67,7 +67,10 @@ def refuse_alone(needed: Collection[str], *idle: str) -> None:
 
 
 def _list_typed_parameters() -> Iterator[tuple[str, str]]:
-    """Yield (name, longest spelling) of the typed parameters, such as ("payload", "--payload")."""
+    """Yield (name, spelling) of the options and arguments on the typed command line.
+
+    The spelling of an option is the longest, for example ("payload", "--payload").
+    """
     context = click.get_current_context()
     for parameter in context.command.params:
         name = str(parameter.name)

@@ -157,8 +157,9 @@ name of the command."""
 
 
 ROBOT_WORDS: Final = "pupper_analysis.robot_words"
-"""Key of ``click.Context.meta`` whose value is a tuple of the typed words that specify the robot,
-for a command whose argument also accepts other files. Next commands receive only these words."""
+"""Key of ``click.Context.meta`` for the typed words that specify the robot (a tuple), if the
+argument of the command also accepts other files. Suggested next commands contain only these
+words."""
 
 
 HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"

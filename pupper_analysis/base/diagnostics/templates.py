@@ -323,8 +323,8 @@ _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {le
 ``left`` the number of omitted items."""
 
 _OMITTED_FINDINGS = {"en": "{listed}; {left} more {noun}", "zh": "{listed}；另有 {left} 处{noun}"}  # noqa: RUF001
-"""{language: template of a shortened list of diagnostics}, whose items are sentences: ``noun`` says
-what is omitted (`_name_omitted_findings`)."""
+"""{language: template of a shortened list of diagnostics}, for items that are sentences. ``noun``
+names the omitted items (`_name_omitted_findings`)."""
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
