@@ -74,8 +74,8 @@ LIMIT_FRACTION = 0.99
 """Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
 MAX_BEYOND_FRACTION = 0.01
-"""Largest fraction of the time in which a motor may be outside of its torque-speed region in a walk
-that passes. The bound permits single time steps after an impact. Chosen, not tuned.
+"""Largest accepted fraction [1] of the time of a walk in which a motor is outside of its
+torque-speed region. The bound permits single time steps after an impact. Chosen, not tuned.
 """
 
 _REGION_RTOL = 1e-9

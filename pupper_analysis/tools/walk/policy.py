@@ -663,10 +663,10 @@ class _ScriptedModule:
         setattr(owner, attribute, value)
 
     def list_state_sizes(self) -> tuple[int, ...]:
-        """Return the last dimension of each tensor, except scalars, that starts with zeros.
+        """Return the last dimension of each non-scalar tensor that is initially zero.
 
-        A network that stores previous observations is evaluated for one observation, whose size is
-        no dimension of the weights.
+        These are candidates for the size of an observation: if a network stores previous
+        observations, no dimension of the weights is the size of one observation.
         """
         return tuple(
             int(start.shape[-1]) for start in self._start.values() if start.ndim and not start.any()

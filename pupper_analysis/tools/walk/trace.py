@@ -209,7 +209,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...], list[int]]:
     """Read a CSV file: {array: values}, the joint names, and the line number of each sample.
 
-    The joint names are those of the columns ``q_JOINT``, empty if these are numbered.
+    The joint names are taken from the columns ``q_JOINT``; empty if the columns are numbered.
     """
     lines = [
         (line, text)
