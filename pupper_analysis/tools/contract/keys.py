@@ -46,7 +46,7 @@ joint names.
 
 @dataclass(frozen=True)
 class KeyRule:
-    """Rule for a key of a file: which quantity its value states, and in which shape.
+    """Rule for a key of a file: quantity and shape of the value.
 
     Attributes:
         quantity: Quantity, or ``observation NAME``.

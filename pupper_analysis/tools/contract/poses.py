@@ -27,8 +27,8 @@ from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import PlacedSource
 
 _MIN_STATED_FRACTION = 0.5
-"""Smallest fraction [1] of joints with a stated default angle, with which the stand in the default
-pose of a source is computed. Chosen, not tuned.
+"""Smallest fraction [1] of joints with a stated default angle. If a source states fewer default
+angles, the stand in the default pose of this source is not computed. Chosen, not tuned.
 """
 
 

@@ -497,8 +497,8 @@ def _evaluate_present_sag(
     A fixed or welded base cannot fall.
 
     Returns:
-        Reason why the robot does not stand with its present stiffness, or None; smallest stiffness,
-        equal at all joints, with which it stands [N m/rad, N/m], or None.
+        Reason why the robot does not stand with the present stiffness, or None; smallest common
+        stiffness of all joints with which the robot stands [N m/rad, N/m], or None.
     """
     if robot.is_base_fixed:
         return None, None

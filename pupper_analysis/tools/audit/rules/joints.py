@@ -182,7 +182,7 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find the only hinge of a serial chain whose axis is opposite to the axes of all others.
+    """Find a hinge of a serial chain with an axis opposite to the axes of all other hinges.
 
     Each axis is expressed in the frame of its joint. Short chains, and robots with hinges on
     several branches, are skipped: the sign is then often a choice.

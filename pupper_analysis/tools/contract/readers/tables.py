@@ -216,7 +216,8 @@ def read_nested_tables(
 def _split_document(own: _View, depth: int) -> list[_View]:
     """Group a table and its nested tables into sources, and return a view of each source.
 
-    Tables may form one source if no two of them state the same quantity of joints, or joint names.
+    Tables may form one source only if each quantity of joints, and the list of joint names, is
+    stated by one table at most.
     """
     (node,) = own.tables
     if depth >= _MAX_TABLE_DEPTH:
