@@ -1,8 +1,8 @@
-"""Limits of mesh files whose content is small, but which describe large meshes.
+"""Limits of small mesh files that describe large meshes.
 
 A glTF accessor without data consists of zeros, and primitives may share data. A COLLADA node may
-contain two instances of another node, which contains two instances of a third node: 30 such nodes
-describe 2^30 parts. The readers of trimesh would allocate all parts.
+contain two instances of a second node, and the second node two instances of a third node: 30 such
+nodes describe 2^30 parts. The readers of trimesh would allocate all parts.
 """
 
 from __future__ import annotations

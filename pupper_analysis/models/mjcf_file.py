@@ -683,7 +683,7 @@ class MjcfFile:
         )
 
     def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the location at which an attribute is set: in the element, or in a default class.
+        """Return the location of an attribute: in the element, or in a default class.
 
         Args:
             kind: Tag of the element, such as ``joint``, or section, such as ``actuator``.

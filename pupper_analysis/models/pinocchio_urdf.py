@@ -29,8 +29,9 @@ largest double for "no limit". Chosen, not tuned.
 """
 
 _IDENTITY_ATOL: Final = 1e-12
-"""Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
-rotation matrix. The first such frame gives its name to the link of the joint. Chosen, not tuned.
+"""Tolerance of the equality of a body frame and the frame of its joint: positions [m] and entries
+of the rotation matrix [1]. The link of the joint gets the name of the first equal body frame.
+Chosen, not tuned.
 """
 
 _WORLD: Final = "world"

@@ -138,9 +138,9 @@ def is_uri(word: str) -> bool:
 def is_published_name(word: str) -> bool:
     """Return True if a word has the form of a published robot's name.
 
-    The name is that of a description of ``robot_descriptions`` (not looked up), or of a robot of
-    MuJoCo Menagerie (`is_menagerie_name`). An existing path is no such name, unless it begins with
-    `DESCRIPTION_PREFIX`.
+    Accepted are names with `DESCRIPTION_PREFIX` (even if no such description exists), and names of
+    robots of MuJoCo Menagerie (`is_menagerie_name`). Existing paths without `DESCRIPTION_PREFIX`
+    are not accepted.
     """
     return _is_description(word) or is_menagerie_name(word)
 
