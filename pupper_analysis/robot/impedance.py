@@ -55,7 +55,7 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 
 
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
-    """Return the solref that MuJoCo applies, which may be the default instead of the stated one.
+    """Return the solref that MuJoCo applies: the stated solref, or MuJoCo's default.
 
     MuJoCo applies its default if exactly one of the two values is positive. MuJoCo's lower bound of
     the time constant (``refsafe``) is not applied.

@@ -38,7 +38,7 @@ class MujocoBehaviour:
         states: States,
         moved: Mapping[str, Array],
     ) -> None:
-        """Store the states, and look up the element ids, that all evaluations share.
+        """Store the states and the element ids of all evaluations.
 
         Args:
             robot: The robot.

@@ -354,10 +354,11 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the scale of a quantity, by which its deviations are divided, in its unit.
+        """Return the scale of a quantity, in the unit of the quantity: divisor of deviations.
 
-        The scale is the largest absolute value of the first model (of the second model if a value
-        is not finite), with a lower bound for gravity and bias forces, which may be nearly zero.
+        The scale is the largest absolute value of the first model, or of the second model if a
+        value of the first model is not finite. Gravity and bias forces may be nearly zero; their
+        scale has a lower bound.
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.
