@@ -57,9 +57,9 @@ _MISS_TOLERANCE = 0.1
 equal (see `_MIN_AGREEING_GUESSES`). Chosen, not tuned."""
 
 _MIN_AGREEING_GUESSES = 8
-"""Number of initial guesses of the nonlinear program that lead to nearly the smallest foot error
-(`_MISS_TOLERANCE`), with which the search usually ends. Measured on 400 stands, most at the limit
-of reach: all but one were found before two guesses agreed, the last one after four."""
+"""Number of initial guesses of the nonlinear program that agree on the smallest foot error (within
+`_MISS_TOLERANCE`), with which the search usually ends. Measured on 400 stands, most at the limit
+of reach: 399 stands were found before two guesses agreed, the remaining stand after four."""
 
 _NUM_RANDOM_GUESSES = 32
 """Number of random initial guesses for robots with a sole on a leg of fewer than six joints.

@@ -677,7 +677,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
 
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
-    """Compute the equilibrium to which a stand sags if its feed-forward is removed, and feet creep.
+    """Compute the equilibrium of a stand after removal of the feed-forward and creep of the feet.
 
     Args:
         path: Path at its start, with the full feed-forward; modified.

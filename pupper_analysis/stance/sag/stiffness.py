@@ -1,8 +1,8 @@
 """Smallest stiffness of the servos with which a robot stands without feed-forward.
 
 `minimum_stiffness` bisects the stiffness. From a known equilibrium, one Newton solve usually finds
-the equilibrium of a similar stiffness (continuation, Allgower and Georg 1990). Therefore only few
-stiffnesses, such as the first one, need the path on which the feed-forward is removed
+the equilibrium of a similar stiffness (continuation, Allgower and Georg 1990). Therefore only a few
+stiffnesses, for example the first stiffness, need the path with gradual removal of the feed-forward
 (`HomotopyPath`).
 """
 
