@@ -73,8 +73,7 @@ from pupper_analysis.stance.posture import close_posture
 _CTRL_ANGLE_RTOL = 0.1
 """Upper bound [1] of ``|ctrl - angles| / |angles|`` with which the ctrl of a keyframe counts as
 joint angles, not torques. The norms are over all actuators at joints; angles are multiplied by the
-gear. Chosen, not tuned: position commands differ from the angles by the deflection that carries the
-weight."""
+gear. Chosen, not tuned: position commands differ from the angles by the static deflection."""
 
 _CTRL_DEGREE_RTOL = 1e-3
 """Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the

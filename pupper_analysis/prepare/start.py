@@ -780,7 +780,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float], *, stands: bool
 ) -> tuple[Diagnostic, ...]:
-    """Return the reason against a keyframe: at most one message.
+    """Return the reason why a keyframe is not used as the start pose: at most one message.
 
     Args:
         robot: Robot with feet.

@@ -201,7 +201,7 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 def split_verdict_lines(
     verdict: Verdict, *, reason_first: bool = False
 ) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
-    """Divide the statements of a verdict into those of the short answer and further ones.
+    """Divide the statements of a verdict: statements of the short answer, and further statements.
 
     The short answer contains statements against the stand, warnings and assumptions, for example.
 

@@ -90,10 +90,10 @@ feet with only 1/10,000 of the weight. Chosen, not tuned.
 """
 
 _MIN_SATURATION_DEVIATION = 1e-3
-"""Deviation of a joint [rad, m] below which a small nudge may saturate the motor, which then has no
-stiffness: (distance of the static torque from the nearer effort limit) / kp. Measured on a
-quadruped with 8.4 kg: with a hip that saturates at 1e-5 rad, a nudge of 0.05 m/s overturns the
-robot; at 7e-5 rad it does not.
+"""Lower bound of the joint deviation [rad, m] that saturates the motor: (distance of the static
+torque from the nearer effort limit) / kp. With a smaller deviation, a small nudge may saturate the
+motor; a saturated motor has no stiffness. Measured on a quadruped with 8.4 kg and a nudge of 0.05
+m/s: the robot overturns with a hip that saturates at 1e-5 rad, and stands with 7e-5 rad.
 """
 
 _LIMIT_ATOL = 1e-6
