@@ -33,11 +33,11 @@ height. The measurements do not depend on the other base coordinates (horizontal
 """
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of six terms in the moments on all feet, as a fraction of `StandNoise.moment`.
-Each term belongs to one base motion (translation or rotation) that may precede rest. A term acts on
-all feet together. About half of the variance of the moments is independent for each foot. Measured
-on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact parameters
-have unit variance.
+"""Standard deviation of the common part of the moments on all feet, as a fraction of
+`StandNoise.moment`. The common part has six terms, one per translation or rotation of the base
+before rest. The other part, about half of the variance, is independent for each foot. Measured on
+v3 set down in MuJoCo: with this value the whitened residuals of robots with exact parameters have
+unit variance.
 """
 
 _RANK_RTOL = 1e-6
