@@ -602,7 +602,7 @@ _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
     ("forcerange", "forcelimited", "ctrlrange", "ctrllimited", "gear", "lengthrange", "cranklength")
 )
 """Attributes that an actuator inherits from a default of another actuator tag. Attributes such as
-``kp`` are not listed: they set gain and bias, which for example a motor replaces.
+``kp`` are not listed: they set gain and bias, and another tag, such as ``motor``, replaces both.
 """
 
 

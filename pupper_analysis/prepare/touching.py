@@ -57,8 +57,8 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Upper bound of the fraction [1] of the load that the contact shapes of soft feet carry on
-average, with which other shapes of the same bodies become the contact shapes. Chosen, not tuned.
+"""Upper bound of the mean fraction [1] of the load on the contact shapes of soft feet. With a
+smaller fraction, other shapes of the same bodies become the contact shapes. Chosen, not tuned.
 """
 
 

@@ -84,8 +84,8 @@ with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v
 Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Displacement [rad, m] above which a posture is lost: of a joint, or of a lifted leg (norm over
-its joints). Chosen, not tuned."""
+"""Upper bound of the displacement [rad, m] of a joint, or of a lifted leg (norm over the joints).
+With a larger displacement, the posture is lost. Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):

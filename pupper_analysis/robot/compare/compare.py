@@ -81,9 +81,9 @@ also the tolerance of the distance of equally near geoms. Reason: files contain 
 as 0.02 for 19.95 mm. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
-is measured above the lowest point of all limbs, in the initial pose, relative to the height of the
-CoM above that point. Chosen, not tuned."""
+"""Upper bound [1] of the height of a limb's lowest point, with which the limb counts as a leg with
+a foot. Heights are measured in the initial pose from the lowest point of all limbs. The height is
+divided by the height of the CoM. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,9 +203,7 @@ def _collect_limb_shapes(
         for geom in _find_ground_geoms(model)
         if moving[geom]
     )
-    has_point = any(
-        not any(urdf_model.shape.size) and urdf_model.shape.kind != "mesh" for urdf_model in urdf
-    )
+    has_point = any(not any(placed.shape.size) and placed.shape.kind != "mesh" for placed in urdf)
     if has_point or any(
         placed.world.support(COMPARISON_DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)
     ):

@@ -202,7 +202,7 @@ is accepted without a stability check. A longer step may end at an unstable equi
 path. Chosen, not tuned."""
 
 _SHARE_TOLERANCE = 1e-7
-"""Tolerance of the bisection that finds at which removed fraction of the feed-forward (0 to 1) a
+"""Tolerance [1] of a bisection for the removed fraction of the feed-forward (0 to 1) with which a
 contact opens or closes. Chosen: corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24

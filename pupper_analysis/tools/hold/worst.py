@@ -35,8 +35,8 @@ from pupper_analysis.statics.equilibrium import compute_utilisation
 from pupper_analysis.tools.hold.motions import JointMotions
 
 _NUM_AGREEING_SEARCHES = 3
-"""Number of agreeing searches after which no search from a further start posture follows: they end
-at the same largest torque of a motor in a direction. Chosen, not tuned.
+"""Number of searches that end at the same largest torque of a motor in a direction, after which no
+search starts from a further posture. Chosen, not tuned.
 """
 
 _SAME_TORQUE_RTOL = 1e-9
