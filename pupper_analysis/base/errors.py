@@ -269,7 +269,7 @@ def _choose_fitting_names(known: Sequence[str], similar: Sequence[str]) -> tuple
 
 
 def _sort_by_words(unknown: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Return valid names: first those with common words (`_find_by_words`), then the other names.
+    """Return valid names: first names with common words (`_find_by_words`), then other names.
 
     If there are many names, only the most similar of the other names are returned.
     """

@@ -126,7 +126,7 @@ def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, 
     """Split a number format into prefix, number of digits and type.
 
     For example, ``mm:.1f`` is split into ``mm:``, 1 and ``f``. If ``spec`` ends with no number
-    format, digits and type are those of the default format.
+    format, the default format is used.
     """
     match = _PRECISION.search(spec)
     if match is not None:
