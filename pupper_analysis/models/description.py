@@ -47,7 +47,7 @@ class Description:
         made_frames: Names of the frames (links of ``urdf``, sites of ``mjcf``) that were added for
             contact points.
         added: Additions to ``mjcf`` for simulation, each with a reason.
-        made_servos: Servos in ``mjcf`` that the file does not contain, without those of
+        made_servos: Servos in ``mjcf`` that the file does not contain, except servos of
             ``passive_joints``.
         passive_joints: Joints that no motor drives: the torque limit is zero, and the MJCF has
             actuators at other joints only. Dependent joints of closed loops and couplings are not

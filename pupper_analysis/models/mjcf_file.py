@@ -530,7 +530,7 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return an index of the elements of an MJCF: {(tag or section, name): element}.
 
     - Elements of the sections `_SECTION_TAGS` have a key (section, name), such as ("actuator",
-    name); those of the sections `_INDIRECT_SECTION_TAGS` have no key (tag, name).
+    name); elements of the sections `_INDIRECT_SECTION_TAGS` have no key (tag, name).
     - Elements without a name may have a substitute, for example a mesh the name of its file, an
     actuator the name of its joint, and a joint the substitute of `name_unnamed_joint`.
     - Of several elements with the same name, the first in the file is listed.

@@ -97,8 +97,8 @@ def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
     """Find the joints on whose positions the lengths of tendons with actuators depend.
 
-    The joints of a fixed tendon have a nonzero coefficient; those of a spatial tendon move some,
-    but not all points of a branch of its path.
+    The joints of a fixed tendon have a nonzero coefficient; the joints of a spatial tendon move
+    some, but not all points of a branch of its path.
 
     Returns:
         {id of an actuator at a tendon: ids of the joints}. No joints are listed for a gear of zero,

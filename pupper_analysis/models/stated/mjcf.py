@@ -313,8 +313,8 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{name of a group of geom attributes: attributes}. The location of a group is that of an attribute
-that is set. The empty name represents the geom itself.
+"""{name of a group of geom attributes: attributes}. The location of a group is the location of a
+set attribute. The empty name represents the geom itself.
 """
 
 
