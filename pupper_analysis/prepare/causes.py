@@ -65,8 +65,8 @@ moves by 1 um/s. Chosen, not tuned."""
 
 _LOCKING_BALL_DAMPING = 1e4
 """Damping that locks a ball joint in a test simulation [N m s/rad]. Measured on a quadruped with
-ball joints in its ankles (feet of 0.05 kg): from 1e2 to 1e4, the torques agree with those of locked
-ankles within 0.1 %.
+ball joints in its ankles (feet of 0.05 kg): from 1e2 to 1e4, the torques agree within 0.1 % with
+the torques of locked ankles.
 """
 
 
@@ -285,7 +285,7 @@ def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64
 def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
     """Return the ids of the actuators at the robot's joints in the published model, shape (n,).
 
-    The order is that of the robot's joints; a joint may have no actuator, or several.
+    The joints are in the order of the robot; a joint may have no actuator, or several.
     """
     joints = _list_joint_ids(published, robot).tolist()
     return np.array(
@@ -396,8 +396,8 @@ constant is tested as the cause of a fall, or of a deviation from the predicted 
 contact may be too soft by a mistake. MuJoCo's default is 0.02 s. Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
-"""MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
-contacts in a test simulation."""
+"""MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces the ``solref`` of
+soft contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:

@@ -232,8 +232,8 @@ class _ServoTrials:
 
         The robot must come to rest for each value of ``feedforward``: with (True) or without
         (False) feed-forward torques. Candidates for which ``is_wanted`` returns False are skipped.
-        For a URDF alone, time steps at which a candidate chattered are skipped, too. The time step
-        of the robot is set to that of the candidate.
+        For a URDF alone, time steps at which a candidate chattered are skipped, too. The robot gets
+        the time step of the candidate.
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))

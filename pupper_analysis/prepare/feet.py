@@ -169,7 +169,7 @@ def find_feet(
 ) -> tuple[Foot, ...]:
     """Detect the feet of a robot: the collision geoms at the ends of the lowest limbs.
 
-    The result is that of the pose with the most feet: in some poses the legs may be folded.
+    The result belongs to the pose with the most feet: in some poses the legs may be folded.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.
@@ -447,7 +447,7 @@ def measure_point_displacement(before: Sequence[Foot], after: Sequence[Foot]) ->
 
 
 _RADIUS_RTOL = 1e-9
-"""Relative tolerance with which the radius of a contact point equals that of a cylinder. Chosen,
+"""Relative tolerance with which the radii of a contact point and of a cylinder are equal. Chosen,
 not tuned."""
 
 

@@ -314,7 +314,8 @@ def describe_violated_keyframe(
     Args:
         robot: Prepared robot with a fixed base, as loaded.
         joints: Joint positions of the keyframe with closed loops, shape (nu,) [rad, m].
-        requested: Names of joints whose positions replace those of the keyframe.
+        requested: Names of joints with requested positions, which replace positions of the
+            keyframe.
 
     Returns:
         The message; None if the posture was not computed from a keyframe, or if no displacement
@@ -484,8 +485,8 @@ def _list_impossible_bodies(robot: Robot) -> tuple[Diagnostic, ...]:
 
 _MAX_DENSITY, _MIN_RADIUS = 19_300.0, 0.02
 """Upper bound of the mean density of the ball around a body [kg/m^3], and lower bound of the radius
-of this ball [m]. A body with a larger density is reported as impossible. The density is that of
-tungsten. The radius is chosen, not tuned."""
+of this ball [m]. A body with a larger density is reported as impossible. Tungsten has this density.
+The radius is chosen, not tuned."""
 
 
 def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:

@@ -428,8 +428,8 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] of each joint with which a posture counts as that of a keyframe; the ctrl of
-the keyframe, if stated, is then used. Chosen, not tuned.
+"""Tolerance [rad, m] of each joint with which a posture counts as the posture of a keyframe; the
+ctrl of the keyframe, if stated, is then used. Chosen, not tuned.
 """
 
 

@@ -450,7 +450,7 @@ def _limit_continuous_joints(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes the narrower of both files' joint limits"), _applies_always)
 def _narrow_limits(draft: Draft) -> PassOutput:
-    """Narrow the joint limits of the URDF to the overlap with those of the MJCF, and add notes."""
+    """Narrow the joint limits of the URDF to the overlap with the limits of the MJCF; add notes."""
     description, messages = narrow_limits(draft.robot)
     return _rebuild_robot(draft, description), messages
 
@@ -576,7 +576,7 @@ def _fit_ellipsoids_again(
 
     The nominal stand depends on the spheres. If a displacement is more than half of the previous
     one, the next fit uses the mean of the last two joint positions, since such iterations oscillate
-    about the solution. Joint positions are those of the last fit if no nominal stand is found.
+    about the solution. If no nominal stand is found, the joint positions of the last fit are kept.
 
     Raises:
         ModelError: If the spheres still move after `_MAX_ELLIPSOID_FITS` fits.

@@ -597,8 +597,8 @@ def simulate_published(
     Args:
         published: Published model: the user's file as compiled. During the call, the damping of the
             model includes the damping of the external servos.
-        data: Initial state, whose ctrl and activations are replaced by those of ``hold``; changed
-            to the final state.
+        data: Initial state, whose ctrl and activations are replaced by the values in ``hold``;
+            changed to the final state.
         hold: Commands of the actuators, and gains and targets of the external servos.
         seconds: Duration [s].
         record_forces: Whether to record the extreme forces.

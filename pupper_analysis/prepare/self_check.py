@@ -308,7 +308,7 @@ def _keep_moving_alike(
     """Return True if published file and prepared robot keep moving alike, without feed-forward.
 
     The file is then no cause: the robot itself does not come to rest. ``run`` is the simulation of
-    the file, ``prepared`` that of the prepared robot. A collapse is not shared motion.
+    the file, ``prepared`` the simulation of the prepared robot. A collapse is not shared motion.
     """
     if prediction.feedforward or run.collapses or not run.keeps_moving:
         return False
@@ -328,9 +328,10 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find causes of a deviation in the preparation, or in differences between URDF and MJCF.
 
-    ``run`` is the simulation of the published file, ``prepared`` that of the prepared robot. If the
-    prepared robot agrees with the prediction, changes of the preparation are the probable cause. If
-    the prepared robot deviates as well, a difference between URDF and MJCF may be the cause.
+    ``run`` is the simulation of the published file, ``prepared`` the simulation of the prepared
+    robot. If the prepared robot agrees with the prediction, changes of the preparation are the
+    probable cause. If the prepared robot deviates as well, a difference between URDF and MJCF may
+    be the cause.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:

@@ -57,9 +57,9 @@ _MIN_LEVER_FRACTION = 0.02
 
 _LEVER_FRACTION, _MIN_LEVER, _MAX_LEVER = 0.5, 0.1, 1.0
 """Lever of the hinges of a leg, relative to the stand height [1], and its bounds [m]. The lever
-converts the stiffness of a hinge to that of a slide. Chosen, not tuned. Measured: a robot with
-telescopic legs that is 0.42 m high falls with 800 N m/rad at its hinges and up to 5,000 N/m at its
-slides, and stands with 8,000 and 20,000 N/m.
+converts the stiffness of a hinge to the stiffness of a slide. Chosen, not tuned. Measured: a robot
+with telescopic legs that is 0.42 m high falls with 800 N m/rad at its hinges and up to 5,000 N/m at
+its slides, and stands with 8,000 and 20,000 N/m.
 """
 
 _DAMPING_TIME = 0.05

@@ -197,7 +197,7 @@ _NUM_HEIGHTS = 12
 """
 
 _MIN_GROUND_CLEARANCE = 0.01
-"""Lower bound of the height above the ground [m] of bodies other than those of the feet
+"""Lower bound of the height above the ground [m] of all bodies without feet
 (`is_clear_of_ground`). A clearance is needed since feet penetrate the ground. Chosen, not tuned."""
 
 _EQUAL_MISS_RTOL = 1e-3

@@ -46,7 +46,7 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
-    """Set the compiler option ``discardvisual`` of a spec to that of an original spec, in place.
+    """Copy the compiler option ``discardvisual`` of an original spec to a spec, in place.
 
     Returns:
         True if the option of ``spec`` changed.
