@@ -332,7 +332,7 @@ def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Check the names of the options of a picture, such as ``size``; return the options.
 
     Raises:
-        ConfigurationError: If a name is not that of an option.
+        ConfigurationError: If a name is not the name of an option.
     """
     known = ("size", "azimuth", "elevation")
     for name in options:

@@ -214,7 +214,8 @@ def make_panels(
 ) -> tuple[Axes, ...]:
     """Return the axes of panels below each other, with the title of the figure or of the axes.
 
-    ``height`` is that of a new figure, in inches; ``rows`` are the relative heights of the panels.
+    ``height`` is the height of a new figure, in inches; ``rows`` are the relative heights of the
+    panels.
 
     Raises:
         ConfigurationError: If the canvas consists of axes, and there are several panels.

@@ -54,7 +54,7 @@ def draw_posture(posture: SolvedPosture, robot: Robot | None, canvas: Canvas) ->
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the posture's stand.
-        StaticsInfeasibleError: If the posture is that of a stand, and no contact forces balance the
+        StaticsInfeasibleError: If the posture belongs to a stand, and no contact forces balance the
             stand.
     """
     from pupper_analysis.present.figures.pose import make_skeleton_figure
