@@ -1,4 +1,4 @@
-"""Generalised coordinates of this package, and maps to those of Pinocchio and MuJoCo.
+"""Generalised coordinates of this package, and maps to Pinocchio's and MuJoCo's coordinates.
 
 The coordinates of this package ("public" coordinates) are MuJoCo's, with the joints in actuator
 order:

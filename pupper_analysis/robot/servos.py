@@ -443,8 +443,9 @@ def find_servos_used(
 ) -> ServosUsed:
     """Summarise the servos of a robot for a report: source, smallest and largest gains.
 
-    The gains are ``kp`` and ``kd`` if passed, else those of servos that this package added, else
-    those of the model. If ``kd`` alone is passed, the stiffness of added servos remains in use.
+    The gains are ``kp`` and ``kd`` if passed, else the gains of servos that this package added,
+    else the gains of the model. If ``kd`` alone is passed, the stiffness of added servos remains in
+    use.
 
     Args:
         robot: Robot.

@@ -56,7 +56,7 @@ finite difference; an element of the matrix then deviates by 0.03 (measured)."""
 def has_converged_solver(model: mujoco.MjModel) -> bool:
     """Return True if a model's solver computes contact forces as in linearised steps, or nearly.
 
-    Otherwise the modes of the linearised step (`step_derivative`) are not those of the model.
+    Otherwise the modes of the linearised step (`step_derivative`) are not modes of the model.
     """
     is_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
     return bool(is_newton and model.opt.iterations >= _MIN_CONVERGED_ITERATIONS)
@@ -402,7 +402,7 @@ def step_stability(
 
     Returns:
         The growing modes with and without dry friction, and the oscillation with the smallest
-        damping ratio among those that do not grow.
+        damping ratio of all oscillations that do not grow.
 
     Raises:
         ConfigurationError: If an argument has another type, or ``settle`` is not from 0 to 600 s.

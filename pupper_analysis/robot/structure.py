@@ -181,7 +181,7 @@ class Structure:
         )
 
     def to_qvel_order(self, forces: Array) -> Array:
-        """Reorder forces or accelerations (nv,) from the order of ``model`` to that of qvel."""
+        """Reorder forces or accelerations (nv,) of ``model`` to the order of qvel."""
         public: Array = (
             forces if self._public_to_model is None else forces.take(self._public_to_model)
         )

@@ -2,7 +2,7 @@
 
 Input: kind of a value and name of the element in a comparison. Output: file and line, from
 `UrdfSources` or `MjcfSources`. A body in a comparison may consist of several links or bodies that
-are fixed to each other. The location of its mass, CoM or inertia is that of the heaviest part.
+are fixed to each other. For mass, CoM or inertia, the location is in the heaviest part.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _URDF_CHILD_PATHS: Final = {
     **{row.kind: row.urdf[0] if row.urdf else "dynamics" for row in TREE_ATTRIBUTES},
 }
 """{kind of a difference: path of the element with the value, below the link or joint of a URDF}.
-If a URDF does not support the value, the path is that of the nearest element."""
+If a URDF does not support the value, the path of the nearest element is used."""
 
 _MJCF_SECTIONS: Final = {
     "tendon": "tendon",
