@@ -5,8 +5,8 @@ A mode is an eigenvector of the linearised simulation step. The eigenvalues, cal
 prediction is tested, since the linearisation may be valid for micrometres only, and dry friction
 makes it depend on the finite-difference step:
 
-1. Two simulations start at the tested state, displaced along the modes by +p and -p. The friction
-   of joints and contacts is that of the model.
+1. Two simulations start at the tested state, displaced along the modes by +p and -p. The model's
+   friction of joints and contacts is used.
 2. The deviation D(t) is half the difference of the two simulations: the largest over the joints.
    Motion of both simulations, such as creep, cancels. D is infinite after a divergence.
 3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the smallest value,
@@ -159,8 +159,8 @@ def confirm_growth(
         if the state is not at rest.
 
         - ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
-          time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
-          is None for a sustained oscillation.
+          time is taken from the simulation; it may be longer than ``HOLD_DURATION``. The doubling
+          time is None for a sustained oscillation.
         - ``refuted_modes`` contains the tested modes that the simulation does not confirm.
         - Selected modes that were not tested are omitted.
     """

@@ -97,8 +97,8 @@ class LinearStep:
     def subtract(self, before: Array, state: Array) -> Array:
         """Compute the change from a state to another state, in the tangent space, (2 nv + na,).
 
-        The states are mjSTATE_FULLPHYSICS. The change is that of positions [m, rad], velocities
-        [m/s, rad/s] and activations.
+        The states are mjSTATE_FULLPHYSICS. The change contains positions [m, rad], velocities [m/s,
+        rad/s] and activations.
         """
         model = self._model
         ends = 1 + model.nq, 1 + model.nq + model.nv + model.na

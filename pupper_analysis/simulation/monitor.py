@@ -2,7 +2,7 @@
 
 `StandReference` compares a state with the expected stand, and decides if the robot has fallen or
 left the stand. `ContactSampler` computes the ground contacts of a single state. `record_contacts`
-computes those of a rollout, with mean torques and forces. All states are MuJoCo's
+computes the contacts of a rollout, with mean torques and forces. All states are MuJoCo's
 mjSTATE_FULLPHYSICS.
 """
 
@@ -286,7 +286,7 @@ class ContactSampler:
     def find_surface(self, body: str) -> Diagnostic | None:
         """Create the part of a message that names the step, plane or bar which a body touches.
 
-        The contacts are those of the state that was evaluated last. None, for example, for the
+        The contacts belong to the state that was evaluated last. None, for example, for the
         floor.
         """
         return find_touched_surface(self._model, self.data, body)

@@ -118,7 +118,7 @@ def weld_generalized_forces(
 ) -> dict[str, Array]:
     """Compute the generalised force of each weld or grip in a stand: {part: (nv,)} [N, N m].
 
-    The order is that of qvel. The wrenches are those of ``prediction``, the statics of the stand.
+    The order is that of qvel. The wrenches are taken from ``prediction``, the statics of the stand.
     """
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
     wrenches = prediction.weld_wrenches

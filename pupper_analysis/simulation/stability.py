@@ -423,8 +423,8 @@ def measure_response(
 
 BOUNCING_TIME = 28.0
 """Additional simulated time [s] after a nudge in `remains_small`. In this time the remaining motion
-must not grow, for example that of a bouncing foot with almost no load. Chosen: the sum of this time
-and the 12 s of a verified stand is 40 s."""
+must not grow, for example the motion of a bouncing foot with almost no load. Chosen: the sum of
+this time and the 12 s of a verified stand is 40 s."""
 
 
 _MAX_BOUNCE_RATIO = 1.5

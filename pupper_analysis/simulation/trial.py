@@ -429,7 +429,7 @@ def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
     """Create the initial velocities [m/s, rad/s] of the nudges of `simulate_nudges`, (12, nv).
 
     Rows: eight horizontal nudges, up, down, and rotations about the base's z axis in both senses.
-    The order of the columns is that of qvel; joint velocities are zero.
+    The columns are in the order of qvel; joint velocities are zero.
     """
     speeds = np.zeros((_HORIZONTAL_NUDGES + 4, robot.nv))
     angles = 2 * np.pi * np.arange(_HORIZONTAL_NUDGES) / _HORIZONTAL_NUDGES

@@ -189,7 +189,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
             ``contact_sag``.
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
-        tilt: Angle between the base's orientation at the end and that of the task (rad).
+        tilt: Angle between the base's orientation at the end and the orientation in the task (rad).
         foot_slip: {stance foot: settled distance of a contact point from the target, across the
             lift-off direction} (m); the largest of the foot.
         joint_error: Largest deviation of a joint from the stand in the last second before the
@@ -207,7 +207,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
         force_error: Largest deviation of a foot force along the lift-off direction, divided by the
             larger of two forces: the prediction, and ``MIN_FORCE_SCALE`` times the load on all
-            feet. For a grip, the deviation is that of the force vector. None without stance feet
+            feet. For a grip, the force vectors are compared. None without stance feet
             and grips.
         mujoco_residual: Largest magnitude in g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
@@ -428,7 +428,7 @@ def _evaluate_standing(
 ) -> tuple[list[Diagnostic], bool, str | None]:
     """Return the failures of standing, whether the robot stays, and a code of the remaining motion.
 
-    The code is that of the note about the harmless cause of motion after the nudge (a bouncing
+    The code belongs to the note about the harmless cause of motion after the nudge (a bouncing
     foot, or an error of the constraint solver); None without such motion. ``has_light_foot`` is
     True if a foot has a predicted load below `LIGHT_FOOT_LOAD`, and may bounce.
     """
