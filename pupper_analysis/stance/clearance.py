@@ -337,8 +337,8 @@ class ClearanceShapes:
     ) -> Array:
         """Compute the Jacobian (n, nv) by qvel of the heights of collision shapes above the ground.
 
-        The n shapes are those of `measure_part_heights`. The point of a shape that is nearest to
-        the ground is treated as fixed to the link.
+        The n shapes are the shapes of `measure_part_heights`. The point of a shape that is nearest
+        to the ground is treated as fixed to the link.
 
         Args:
             at: Configuration.

@@ -206,7 +206,7 @@ class PlaceConstraint(Constraint):
     def residual(self, targets: StandTargets, at: Kinematics) -> Array:
         """Return the horizontal position minus the target, (2,) [m], in the world frame.
 
-        The position is that of the CoM, or of the base if ``StandTargets.by_base``.
+        The position of the CoM, or of the base if ``StandTargets.by_base``, is constrained.
         """
         return (at.qpos[:2] if targets.by_base else np.array(at.com[:2])) - targets.place
 

@@ -226,7 +226,7 @@ class Stand(Pictured, Tabular):
     def for_task(self, task: StandTask) -> Stand:
         """Return a copy of this stand with a new task, without a check that the stand satisfies it.
 
-        The ground remains that of this stand, since it includes the planes of the contacts.
+        The copy keeps the ground of this stand, which includes the planes of the contacts.
         """
         other = replace(
             self, task=task.replace_unchecked(ground=self.task.ground)

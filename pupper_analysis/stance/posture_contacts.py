@@ -96,7 +96,7 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
     """Create a `Stand` from a posture that keeps the contacts of a given stand.
 
     The task of the result requires values of the posture, for example its base pose and CoM.
-    Contacts, margins and clearances are those of the given stand.
+    Contacts, margins and clearances are taken from the given stand.
 
     Args:
         robot: Robot with the contacts of the stand.

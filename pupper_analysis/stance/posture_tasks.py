@@ -59,8 +59,8 @@ class WholeBody(Protocol):
     def linearise_self_clearances(self) -> tuple[Array, Array]:
         """Return the derivatives of `self_clearances` by the configuration, and the configuration.
 
-        The configuration is that of PlaCo's robot, always with a free base. Derivatives by the pose
-        of the base are zero.
+        The configuration belongs to PlaCo's robot, which always has a free base. Derivatives by the
+        pose of the base are zero.
 
         Returns:
             Derivatives, shape (n, nq); configuration, shape (nq,).

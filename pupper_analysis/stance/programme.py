@@ -163,8 +163,8 @@ class StanceProgram:
 
     The v variables ``x`` are the horizontal base position, the joint positions, and the
     relaxations. Base position and relaxations of lengths are in stand heights, joint positions and
-    relaxations of angles in rad or m. Height and orientation of the base equal those of the relaxed
-    task at each point.
+    relaxations of angles in rad or m. At each point, the base has the height and orientation of the
+    relaxed task.
 
     Args:
         shapes: Robot with collision shapes.

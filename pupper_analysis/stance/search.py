@@ -279,7 +279,7 @@ class _StandSearch:
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
 
     def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
-        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``."""
+        """Yield initial configurations (nq,) of the nonlinear program, first from ``best``."""
         robot, targets = self.robot, self.targets
         yield best.qpos
         if not targets.com_is_free:

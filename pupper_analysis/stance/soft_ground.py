@@ -301,7 +301,7 @@ def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[
 
 
 def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
-    """Compute the penetrations (n,) [m] of a rigid sole with the same resultant as given ones.
+    """Compute the penetrations (n,) [m] of a rigid sole with the resultant of given penetrations.
 
     The resultant is the force and the moments of the contact forces. The potential of the forces is
     convex, so that all solutions give equal forces.

@@ -212,8 +212,8 @@ def solve_stands(
 
     Args:
         robot: Robot with a floating base.
-        tasks: Stand tasks. Their ``contacts`` must be at the same parts, and have the same friction
-            and forces, as those of the first task; surfaces and positions may differ.
+        tasks: Stand tasks. The ``contacts`` must be at the same parts, and have the same friction
+            and forces, as in the first task; surfaces and positions may differ.
         explain: Whether the error about an unreachable task contains the smallest foot error, and
             the smallest change of requirements that makes the task reachable; takes about a second.
 

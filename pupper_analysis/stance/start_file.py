@@ -29,7 +29,8 @@ def read_start(path: str | Path, robot: Robot) -> Array:
     """Read the initial guess of a stand from a file, for ``solve_stand(start=...)``.
 
     Positions with joint names are assigned by name; other joints keep their position in ``home``.
-    The base is that of ``home``, unless a configuration of length nq without joint names is read.
+    The base pose is taken from ``home``, unless a configuration of length nq without joint names is
+    read.
 
     Args:
         path: JSON or CSV file.

@@ -426,7 +426,7 @@ class _PostureSolver:
 
     Args:
         robot: Robot.
-        tasks: Tasks, those of kept contacts last.
+        tasks: Tasks; tasks of kept contacts are the last.
         num_contacts: Number of kept contacts.
         collision: Collision shapes.
         limits: Joint limits.
@@ -654,7 +654,7 @@ class _MujocoBody(_PinocchioBody):
     def self_clearances(self) -> Array:
         """Return distances (n,) [m] of links that are no neighbours, by MuJoCo, ascending.
 
-        The pairs of collision shapes are those of `ClearanceShapes.find_nearest_pairs`.
+        `ClearanceShapes.find_nearest_pairs` selects the pairs of collision shapes.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
         pairs = shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)

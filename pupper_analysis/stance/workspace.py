@@ -218,7 +218,7 @@ of the ends in x and y, `BISECTION_RTOL` times the first step."""
 
 
 def _describe_com_mismatch(robot: Robot, stands: Iterable[Stand]) -> Diagnostic | None:
-    """Create the message that the CoM of MuJoCo's model is beside that of Pinocchio's in a stand.
+    """Create the message that the CoMs of MuJoCo's and Pinocchio's models differ in a stand.
 
     The distance is horizontal, as the support polygon: equal factors on all masses have no effect.
     """
