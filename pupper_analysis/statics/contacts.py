@@ -394,7 +394,7 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
-    """Check and return the friction coefficient of a contact point, by default that of MuJoCo."""
+    """Check and return the friction coefficient of a contact point; default: MuJoCo's value."""
     if friction is None:
         if foot not in robot.contacts:
             raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))

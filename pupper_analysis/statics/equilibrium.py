@@ -406,7 +406,7 @@ def differentiate_torques(
 ) -> Array | None:
     """Compute the derivatives of the joint torques of a stand by motions of the robot.
 
-    The torques are those of contact forces with minimum tangential forces.
+    The contact forces have minimum tangential components.
 
     The contact forces f minimise |W f| subject to A f = b. W contains the weights of
     `TangentialMetric`, A is the base part of the transposed contact Jacobian J^T, and b is the base
