@@ -379,8 +379,8 @@ class ParameterTable:
     def get_com(self, vector: Array, link: str, stated: Array) -> Array:
         """Return the CoM of a link's body from a parameter vector, shape (3,) [m].
 
-        Components that are not estimated are those of ``stated``, shape (3,) [m]. The CoM is in the
-        frame of ``stated``, the frame of the Pinocchio joint.
+        Components that are not estimated are taken from ``stated``, shape (3,) [m]. The CoM is in
+        the frame of ``stated``, the frame of the Pinocchio joint.
         """
         axes = zip(AXES, stated.tolist(), strict=True)
         return np.array(

@@ -263,6 +263,6 @@ class MotionFit(Fit):
     def noise_inflation(self) -> float:
         """Ratio of RMS position errors in held-out samples and in fitted samples, at least 1.
 
-        Held-out samples are those that were not fitted. Without such samples, the ratio is 1.
+        Held-out samples are samples that were not fitted. Without such samples, the ratio is 1.
         """
         return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

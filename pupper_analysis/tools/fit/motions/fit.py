@@ -704,8 +704,8 @@ class SeriesNoise:
     def fit_autoregression(series: Sequence[Array]) -> SeriesNoise:
         """Fit autoregressive noise to some residual series by the Yule-Walker equations.
 
-        Each series, that of a run, has the shape (n,) [rad, m]; NaN if missing. White noise is
-        returned if the samples are too few, for example.
+        Each series belongs to a run, and has the shape (n,) [rad, m]; NaN if missing. White noise
+        is returned if the samples are too few, for example.
         """
         filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
         count = int(sum(np.isfinite(series_part).sum() for series_part in series))

@@ -259,8 +259,8 @@ class StandRows:
     def _set_penetration(self, laws: dict[str, GroundLaw]) -> None:
         """Set stiffness of the ground [N/m] and penetration [m] at each contact point, (p,) each.
 
-        The penetration of a sole's points is linearised about that of their mean force. With the
-        law at each point's force, points would lift off and return in alternating steps.
+        The penetration of a sole's points is linearised about the penetration for their mean force.
+        With the law at each point's force, points would lift off and return in alternating steps.
         """
         points, normal_forces = self._reading.points, self._forces[:, 2]
         foot_of_point = np.array(self._feet)

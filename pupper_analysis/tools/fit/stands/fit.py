@@ -59,7 +59,7 @@ from pupper_analysis.tools.fit.stands.wiring import find_wiring
 
 @dataclass(frozen=True)
 class JointResidual(Result):
-    """Error of a measured joint position in a stand, to find readings that contradict the others.
+    """Error of a measured joint position in a stand, to find contradictory readings.
 
     Attributes:
         stand: Stand name.
@@ -1025,7 +1025,7 @@ def _make_scale_residual(
 ) -> Callable[[Array], LinearisedResiduals]:
     """Return a function of parameters (n,) that linearises (mass - ``weight`` [kg]) / std.
 
-    The mass is that of the whole robot. Without a weight, the function returns no residual.
+    The whole robot has this mass. Without a weight, the function returns no residual.
     """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.
@@ -1060,7 +1060,7 @@ def _check_foot_loads(
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
     The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. If ``posterior`` is None, the stated
-    parameters are used. The contact forces are those that ``equations`` has stored.
+    parameters are used. The contact forces are the forces that ``equations`` has stored.
 
     Raises:
         MeasurementError: For one contradiction.
@@ -1106,8 +1106,8 @@ class LogCoordinates:
 
     Stands determine the ratio of kp to mass. With logarithms, a factor on all kp and masses and the
     inverse factor are equally probable. With normal priors, a robot with too small kp and masses
-    would be more probable than a robot with too large ones. The reason: if twelve kp that differ by
-    a tenth are halved, the differences are halved as well.
+    would be more probable than a robot with too large kp and masses. The reason: if twelve kp that
+    differ by a tenth are halved, the differences are halved as well.
 
     The coordinate is y = x0 + x0 log(x / x0), with the stated value x0. The coordinate has the
     parameter's unit, and agrees with x to first order about x0, so that the prior width is

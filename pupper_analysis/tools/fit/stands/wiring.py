@@ -2,8 +2,8 @@
 
 A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` examines wirings that
 differ from the given assignment by one or two errors. The wirings are ranked by the evidence of the
-measurements, and the most probable ones are fitted. The result is the first wiring with which the
-model explains the stands.
+measurements, and the most probable wirings are fitted. The result is the first wiring with which
+the model explains the stands.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Wiring:
         )
 
     def combine(self, second: Wiring) -> Wiring:
-        """Return the wiring with the errors of this wiring, then those of ``second``."""
+        """Return the wiring with the errors of this wiring, then the errors of ``second``."""
         return Wiring(
             tuple(self.order[column] for column in second.order),
             tuple(
