@@ -76,7 +76,7 @@ def _read_catalogue() -> dict[str, Rule]:
 
 
 def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
-    """Complete the texts of a rule with those of a similar rule: {"title", "why" or "todo": text}.
+    """Complete the texts {"title", "why" or "todo": text} of a rule with texts of a similar rule.
 
     ``space`` separates both parts of the reason: a space in English, none in Chinese.
     """

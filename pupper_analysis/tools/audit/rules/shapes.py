@@ -641,9 +641,9 @@ def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
 
 
 def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
-    """Return the distance [m] between a link's collision mesh and the equal visual mesh.
+    """Return the distance [m] of the origins of a link's collision mesh and the equal visual mesh.
 
-    The distance is that of the origins. None if no unique pair of equal meshes exists.
+    None if no unique pair of equal meshes exists.
     """
     found: dict[str, list[tuple[str, Array]]] = {"visual": [], "collision": []}
     for tag, shape, geometry in robot.file.tree.links[name].shapes:
