@@ -126,7 +126,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 def _format_example_efforts(hold: Hold) -> tuple[str, ...]:
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
-    The torques are those of the worst postures. Empty if they are zero.
+    The torques belong to the worst postures. Empty if they are zero.
     """
     worst = hold.worst
     torques = dict(zip(worst.joint_names, worst.joint_torques.tolist(), strict=True))

@@ -127,9 +127,9 @@ class JointMotions:
     def find_range(self, qpos: Array, motion: int) -> tuple[float, float]:
         """Return the range of displacements along a motion that joint limits permit.
 
-        A displacement is that of the independent joint, from the posture ``qpos``, (nu,). For a
-        nonlinear motion, `move_along` checks the ranges of the dependent joints. The range of a
-        linear motion contains 0, even if the posture exceeds a limit.
+        A displacement is the displacement of the independent joint from the posture ``qpos``,
+        (nu,). For a nonlinear motion, `move_along` checks the ranges of the dependent joints. The
+        range of a linear motion contains 0, even if the posture exceeds a limit.
 
         Returns:
             Lower bound; upper bound [rad, m].

@@ -276,8 +276,8 @@ def _find_last_defined(function: Callable[[float], float], start: float, end: fl
 
 
 _NUM_RANDOM_STARTS = 12
-"""Largest number of random start postures of the searches of a motor in a direction, besides the
-`_NUM_POOL_STARTS` selected ones. Chosen, not tuned."""
+"""Largest number of random start postures of the searches of a motor in a direction, in addition to
+the `_NUM_POOL_STARTS` selected postures. Chosen, not tuned."""
 
 _NUM_POOL_POSTURES = 500
 """Number of random postures from which start postures are selected, if a robot has nonlinear loops
