@@ -281,7 +281,7 @@ def _max_over_runs(walk: Walk, name: str) -> Array:
 def _make_motor_table(walk: Walk) -> doc.Table:
     """Create the table of motors: a row per joint, with the largest values of all runs.
 
-    The static torques are those of the first run.
+    The static torques belong to the first run.
     """
     units = find_common_units(walk.torque_units)
     rms, peak, share, speed = (

@@ -48,7 +48,7 @@ def _make_policy_metric(
 def _read_largest_torque(gait: Any) -> float:
     """Return the largest rms torque of a motor [N m, N]; raise a NotStandingError after a fall.
 
-    The torques before a fall are not those of walking.
+    The torques before a fall are not torques of walking.
     """
     if gait.fall is not None:
         raise NotStandingError((gait.fall,))

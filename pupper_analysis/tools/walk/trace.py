@@ -624,8 +624,8 @@ def record_trace(
 ) -> dict[str, Any]:
     """Simulate a policy, and return the arrays of a trace for ``np.savez`` and `read_trace`.
 
-    The arrays, except ``joints``, have a row per action. The names are those that `read_trace`
-    reads from an npz file.
+    The arrays, except ``joints``, have a row per action. `read_trace` reads the same names from an
+    npz file.
 
     Args:
         robot: Robot.
