@@ -121,8 +121,8 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draw the height that the base loses [mm] over the simulated time [s] as a PNG file.
 
-    The loss is the height of the stand minus that of the base; it is positive downwards. The legend
-    of a panel states the mean over the last second of each curve.
+    The loss is the height of the stand minus the height of the base; it is positive downwards. The
+    legend of a panel states the mean over the last second of each curve.
 
     Raises:
         ConfigurationError: If there is no robot.

@@ -111,8 +111,8 @@ def best_stance(
     - Roll, pitch, yaw: within ``MAX_BASE_ROTATION`` of the initial task.
     - Feet: up to ``MAX_OUTWARD_STEP`` times the largest reachable height, along x and along y;
       inwards also up to ``MAX_INWARD_STEP`` times the smallest distance of a free foot from the
-      centre of the feet along the same axis. If the feet are in line with this
-      centre, as those of a biped along x, both directions are outward.
+      centre of the feet along the same axis. If the feet are in line with this centre, as the feet
+      of a biped along x, both directions are outward.
 
     The smallest singular value of the Jacobian of each contact point must be at least
     ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs need little torque

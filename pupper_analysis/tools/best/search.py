@@ -48,7 +48,7 @@ _RANKING_ITERATIONS = 8
 guesses. Chosen, not tuned."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents, those with the best results, that are continued. Chosen, not tuned."""
+"""Number of first descents, with the best results, that are continued. Chosen, not tuned."""
 
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results

@@ -120,9 +120,9 @@ class DefaultPoseStand(Result):
         source: Name of the source.
         height: Height of the base above the mean of the feet's lowest points in this pose.
         sag: Loss of base height with the gains of the source; None if not computed.
-        utilisation: Largest ratio of motor torque to torque limit. The limits are those of the
-            source if it states all limits, otherwise those of another source or the model. None if
-            not computed, or without limits.
+        utilisation: Largest ratio of motor torque to torque limit. The limits are taken from the
+            source if it states all limits, otherwise from another source or the model. None if not
+            computed, or without limits.
         stays: Whether the robot keeps standing in simulation with the gains of the source and no
             feed-forward; None if this was not simulated.
         problem: Reason for a missing value; None if there is no error.

@@ -43,7 +43,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 
 def _is_servo_note(note: Diagnostic) -> bool:
-    """Return True for the note that servos differ from those of the converted variant's MJCF."""
+    """Return True for the note that the servos of the converted variant's MJCF differ."""
     return note.code == "servos-of-variant-not-used"
 
 

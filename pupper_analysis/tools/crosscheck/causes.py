@@ -435,7 +435,7 @@ used, divided by the number in the required unit.
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find a common factor between the joint limits, masses, lengths or inertias of both files.
 
-    Of limits, only those of hinges are compared. The message may name a wrong unit (such as
+    Of limits, only limits of hinges are compared. The message may name a wrong unit (such as
     degrees, g or mm) or a wrong decimal point.
     """
     first, raw = case.urdf_tree, case.mjcf_tree

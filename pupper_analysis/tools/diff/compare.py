@@ -123,8 +123,8 @@ class ModelDiff(Tabular):
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within 1e-9.
-        floating: Whether effects are those of a free base. The base of a URDF counts as free if two
-            or more moving links are attached to the base, for example.
+        floating: Whether the effects were computed with a free base. The base of a URDF counts as
+            free if two or more moving links are attached to the base, for example.
         combined: For two MJCFs: effects of all changes together in a simulation of the files
             (`SimulatedPair`). Empty if the effect is reported for the only change, for example.
         notes: Assumptions, and ignored content.

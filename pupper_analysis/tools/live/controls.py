@@ -406,7 +406,7 @@ class JointSliders:
             self._moved(joint, round(value, _POSITION_DIGITS) + 0.0)  # never -0
 
     def show(self, positions: Mapping[str, float]) -> None:
-        """Set the sliders to given joint positions [rad or m], the others to their initial value.
+        """Set sliders to given joint positions [rad or m], other sliders to the initial value.
 
         Values beyond the range of a slider are clipped.
         """

@@ -318,7 +318,7 @@ class PathPlace:
         return self.stand.qpos
 
     def compute_motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
-        """Compute the robot's velocity and acceleration from those of the path parameter.
+        """Compute the robot's velocity and acceleration from the rates of the path parameter.
 
         Args:
             rate: ds/dt of the path parameter s [1/s].

@@ -101,7 +101,7 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
 def _format_example_efforts(limit: PayloadLimit) -> tuple[str, ...]:
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
-    The torques are those of the stand with the largest payload of the other bounds.
+    The torques belong to the stand with the largest payload of the other bounds.
     """
     shares = dict(zip(limit.joint_names, limit.motor_utilisation.tolist(), strict=True))
     unknown = [joint for joint, share in shares.items() if math.isnan(share)]

@@ -231,8 +231,8 @@ def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward, else raise an error.
 
     No deviation may grow within 12 s. If simulations refuted a growing mode, or the modes are not
-    those of the file's solver (`has_converged_solver`), the verdict must pass.
-    If `Design.own_servos` is True, the simulation of the unmodified MJCF from the keyframe must not
+    modes of the file's solver (`has_converged_solver`), the verdict must pass. If
+    `Design.own_servos` is True, the simulation of the unmodified MJCF from the keyframe must not
     fail either.
     """
     published_run = own_run(design.robot) if design.own_servos else None

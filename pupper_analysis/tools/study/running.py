@@ -156,7 +156,7 @@ class _ThreadCache(threading.local):
         """Return the definition, builder and metrics of a pickled `WorkDefinition`.
 
         Raises:
-            StudyError: If package versions differ from those that the definition states, or the
+            StudyError: If package versions differ from the versions in the definition, or the
                 function of a metric cannot be imported.
             ModuleNotFoundError: If the module of such a function does not exist.
         """

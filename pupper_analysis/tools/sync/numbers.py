@@ -369,7 +369,7 @@ def _find_wrong_numbers(
 
 
 JOINT_PARAMETER_KINDS = ("damping", "friction", "armature")
-"""Kinds of numbers of a joint that `write_numbers` accepts, besides those of position servos."""
+"""Kinds of numbers of a joint that `write_numbers` accepts, in addition to servo gains."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
 NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)

@@ -137,7 +137,7 @@ class UrdfSide(Side):
         self._complete_limit(key, urdf_joint)
 
     def _plan_number(self, key: PropertyKey) -> None:
-        """Plan to set a number of a joint in the URDF to that of the MJCF, in SI units.
+        """Plan to copy a number of a joint from the MJCF to the URDF, in SI units.
 
         ``key`` is the difference (kind, joint).
         """

@@ -739,7 +739,7 @@ def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
 
 
 def _make_free_joint(body: str, pose: Pose) -> Joint:
-    """Create the free joint between the world and a body; ``pose`` [m] is that of the body."""
+    """Create the free joint between the world and a body; ``pose`` [m] is the pose of the body."""
     zeros, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
     return Joint(f"({body})", FREE_JOINT, "world", body, pose.position, zeros, zeros, {}, *infinite)
 

@@ -211,9 +211,9 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 def read_as_mjcf(path: Path) -> UsdAsMjcf:
     """Convert a USD file to an MJCF in memory, with the same bodies and joints.
 
-    Shapes are left out. Moving and root bodies get the inertials, merged with those of fixed
-    bodies. Joints that close loops become equality constraints. ``unknown`` of the result lists the
-    joints whose effort, damping or friction the USD does not state.
+    Shapes are left out. The inertials of fixed bodies are merged into the moving or root bodies.
+    Joints that close loops become equality constraints. ``unknown`` of the result lists the joints
+    whose effort, damping or friction the USD does not state.
 
     Raises:
         ModelError: If the file has no readable robot, MuJoCo has no equivalent of a joint, or
@@ -324,8 +324,7 @@ by this value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
     """Return the inertials of root and moving bodies with mass, each merged with the fixed bodies.
 
-    Reason: MuJoCo refuses a degenerate ``fullinertia``, for example that of a thin rod, also of a
-    fixed
+    Reason: MuJoCo refuses a degenerate ``fullinertia``, for example of a thin rod, also of a fixed
     body.
     """
     inertials: dict[str, Inertial] = {}
