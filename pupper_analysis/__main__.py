@@ -51,8 +51,8 @@ MAX_UNSIGNALLED_STATUS = 128
 def end_without_waiting(status: int) -> None:
     """End the process at once, with an exit status, if other non-daemon threads are running.
 
-    A normal exit would wait for the threads, for example those of browser sessions of ``live``.
-    Output must be flushed before.
+    A normal exit would wait for the threads, for example the threads of browser sessions of
+    ``live``. Output must be flushed before.
     """
     main_thread = threading.main_thread()
     if any(thread is not main_thread and not thread.daemon for thread in threading.enumerate()):
