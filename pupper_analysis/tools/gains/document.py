@@ -72,6 +72,8 @@ def _select_verdict(study: GainStudy) -> str:
     """Return the catalogue key of the verdict."""
     if study.stands_stably and not study.passed:
         return split_ties(study.ties)[0] or "UNKNOWN"
+    if study.holds_with_friction:
+        return "gains-unstable-without-friction"
     return _VERDICT_KEYS[study.worst.stable, study.stands_stably]
 
 
@@ -116,7 +118,9 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
                 delayed=study.delay > 0,
             )
         else:
-            yield text("gains-buckle", joints=joints, time=time)
+            yield text(
+                "gains-buckle", joints=joints, time=time, held=study.holds_with_friction is True
+            )
     if study.sag_failure is not None:
         yield text("gains-sag", failure=doc.diagnostic_text(study.sag_failure))
     for one in study.exceeded:
@@ -172,6 +176,8 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
             added=bool(study.servos.made),
             kp=f"{kp_text} {study.units.stiffness}",
             kd=f"{kd_text} {study.units.damping}",
+            # Beside the verdict "UNSTABLE without dry friction" the short form has no more room.
+            short_kd=kd_text if study.holds_with_friction else f"{kd_text} {study.units.damping}",
             least=least_text,
             most="" if largest is None else most_text,
         )

@@ -59,6 +59,7 @@ from pupper_analysis.simulation.controlled_stand import (
 )
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
 from pupper_analysis.simulation.verdict import find_overloaded_motors
+from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.sag.steady_state import find_sag_failure
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -227,7 +228,10 @@ class GainStudy(Tabular):
             feed-forward (N m/rad or N/m). None if there is none, or the base is fixed.
         sag_failure: Reason why the robot does not stand with the present stiffness if there is no
             feed-forward. None if the robot stands, or if the base is fixed.
-        worst: Mode with the largest growth rate at the present gains.
+        worst: Mode with the largest growth rate at the present gains, without dry friction.
+        holds_with_friction: Whether the stand with feed-forward holds in a simulation with dry
+            friction (``verify_stand``), although the mode ``worst`` grows. None if not simulated:
+            ``worst`` is stable or oscillates.
         damping_ratio: Smallest damping ratio of the lasting oscillations at the present gains; 1
             without oscillation, negative if an oscillation grows.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
@@ -273,6 +277,7 @@ class GainStudy(Tabular):
     curve_least_dampings: Array = field(metadata={"unit": "1"})
     recommended_kp_factor: float | None = field(metadata={"unit": "1"})
     recommended_kd_factor: float | None = field(metadata={"unit": "1"})
+    holds_with_friction: bool | None = None
     missing_masses: Diagnostic | None = None
     ties: tuple[Diagnostic, ...] = ()
     placeholder_inertias: tuple[Diagnostic, ...] = ()
@@ -397,6 +402,7 @@ def study_gains(
         )
     least = least_kp.factor or 0.0
     curve, dampings, least_dampings = _compute_damping_curves(gains, least, num_parts)
+    worst = loop.find_worst_mode(*present)
     return GainStudy(
         name=robot.name,
         stand=settled,
@@ -414,7 +420,8 @@ def study_gains(
         largest_kd=largest_kd,
         least_kp_alone=alone,
         sag_failure=failure,
-        worst=loop.find_worst_mode(*present),
+        worst=worst,
+        holds_with_friction=_simulate_with_friction(robot, settled, present, worst),
         damping_ratio=loop.find_smallest_damping_ratio(*present),
         curve_factors=curve,
         curve_dampings=dampings,
@@ -507,6 +514,19 @@ def _evaluate_present_sag(
     with contextlib.suppress(NoStiffnessError):
         alone = minimum_stiffness(robot, settled)
     return failure, alone
+
+
+def _simulate_with_friction(
+    robot: Robot, settled: Stand, gains: _Pair, worst: WorstMode
+) -> bool | None:
+    """Return True if a stand with a growing mode holds in simulation, with feed-forward.
+
+    None if ``worst`` is stable, or oscillates: the simulated servos are no sampled PD controller.
+    """
+    if worst.stable or worst.frequency:
+        return None
+    kp, kd = gains
+    return verify_stand(robot, settled, kp=kp, kd=kd, until_failure=True).stays
 
 
 def _choose_curve_factors(least: float) -> Array:
