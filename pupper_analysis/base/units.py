@@ -291,3 +291,16 @@ def round_down(limit: float, digits: int) -> float:
     decimals = digits - 1 - math.floor(math.log10(limit) + _ROUNDING_TOLERANCE)
     # 10.0**decimals would overflow for a denormal limit.
     return float(f"{floor_within_rounding(float(Decimal(limit).scaleb(decimals)))}e{-decimals}")
+
+
+def round_up(limit: float, digits: int) -> float:
+    """Round a lower limit that is not negative up to significant digits.
+
+    A user may enter the printed limit, for example a smallest stiffness. 0, infinity and NaN are
+    returned unchanged.
+    """
+    if not limit or not math.isfinite(limit):
+        return limit
+    decimals = digits - 1 - math.floor(math.log10(limit) + _ROUNDING_TOLERANCE)
+    number = float(Decimal(limit).scaleb(decimals)) * (1 - _ROUNDING_TOLERANCE)
+    return float(f"{math.ceil(number)}e{-decimals}")

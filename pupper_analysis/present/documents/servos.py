@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from pupper_analysis.base.diagnostics.templates import format_number
+from pupper_analysis.base.units import round_down, round_up
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import get_english, text
 from pupper_analysis.present.verdict import make_servo_clause
@@ -60,8 +62,8 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
         kp_unit=units.stiffness,
         kd=format_number(one.kd, ".3g"),
         kd_unit=units.damping,
-        least="" if least is None else f"{round_bound(least * kp, kp):g}",
-        most=f"{round_bound(most * kd, kd):g}" if most is not None and bounded else "",
+        least="" if least is None else format_bound(least * kp, kp, upper=False),
+        most=format_bound(most * kd, kd, upper=True) if most is not None and bounded else "",
         added=bool(used.made),
         low=low,
         enough=least is not None and not low,
@@ -73,20 +75,35 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
     )
 
 
-def round_bound(bound: float, gain: float) -> float:
-    """Round a bound of a servo gain to two significant digits, or more if the gain is near.
+def round_bound(bound: float, gain: float, *, upper: bool) -> float:
+    """Round a bound of a servo gain to three significant digits, or more if the gain is near.
 
-    If `_MAX_BOUND_DIGITS` digits suffice, the rounded bound is above, equal to or below the gain as
+    An upper bound is rounded down, a lower bound up: the printed bound fulfils the exact bound. If
+    `_MAX_BOUND_DIGITS` digits suffice, the rounded bound is above, equal to or below the gain as
     displayed (three digits), as the exact bound and gain are. ``bound`` and ``gain`` may also be
-    factors on gains.
+    factors on gains. ``upper``: whether the bound is the upper one.
     """
     displayed = float(f"{gain:.3g}")
-    for digits in range(2, _MAX_BOUND_DIGITS):
-        rounded = float(f"{bound:.{digits}g}")
+    round_inward = round_down if upper else round_up
+    for digits in range(_BOUND_DIGITS, _MAX_BOUND_DIGITS):
+        rounded = round_inward(bound, digits)
         if np.sign(rounded - displayed) == np.sign(bound - gain):
             return rounded
-    return float(f"{bound:.{_MAX_BOUND_DIGITS}g}")
+    return round_inward(bound, _MAX_BOUND_DIGITS)
 
 
-_MAX_BOUND_DIGITS = 6
-"""Largest number of digits of a displayed bound of a servo gain. Chosen, not tuned."""
+def format_bound(bound: float, gain: float, *, upper: bool) -> str:
+    """Format a bound of a servo gain, rounded by `round_bound`, mostly without exponent."""
+    return format_number(round_bound(bound, gain, upper=upper), "g")
+
+
+def make_bound_cell(bound: float | None, gain: float, *, upper: bool) -> doc.Number:
+    """Create the table cell of a bound of a servo gain; an empty cell without a bound."""
+    if bound is None:
+        return doc.number_cell(None, "g")
+    return replace(doc.number_cell(round_bound(bound, gain, upper=upper), "g"), value=bound)
+
+
+_BOUND_DIGITS, _MAX_BOUND_DIGITS = 3, 6
+"""Usual and largest number of significant digits of a displayed bound of a servo gain. Chosen, not
+tuned."""

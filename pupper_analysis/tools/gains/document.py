@@ -11,10 +11,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import format_number, format_pair
+from pupper_analysis.base.diagnostics import format_number
+from pupper_analysis.base.units import round_up
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.servos import format_bound, make_bound_cell
 from pupper_analysis.present.documents.standing import robot_notes, task_text
 from pupper_analysis.present.verdict import (
     clause_text,
@@ -128,13 +130,15 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             yield text(
                 "gains-above-torque",
                 joints=doc.Name(one.name),
-                kp=f"{format_number(one.largest_kp_of_torque, '.3g')} {one.units.stiffness}",
+                kp=f"{format_bound(one.largest_kp_of_torque, one.kp, upper=True)} "
+                f"{one.units.stiffness}",
             )
         if one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder:
             yield text(
                 "gains-above-noise",
                 joints=doc.Name(one.name),
-                kd=f"{format_number(one.largest_kd_of_encoder, '.3g')} {one.units.damping}",
+                kd=f"{format_bound(one.largest_kd_of_encoder, one.kd, upper=True)} "
+                f"{one.units.damping}",
             )
 
 
@@ -169,8 +173,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd
         least = _find_least_stiffness(study)
-        kp_text, least_text = format_pair(kp, least, ".3g")
-        kd_text, most_text = format_pair(kd, kd * (largest or 0.0), ".3g")
+        kp_text, kd_text = format_number(kp, ".3g"), format_number(kd, ".3g")
         return text(
             "gains-range" if largest is not None else "gains-range-open",
             added=bool(study.servos.made),
@@ -178,8 +181,8 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
             kd=f"{kd_text} {study.units.damping}",
             # Beside the verdict "UNSTABLE without dry friction" the short form has no more room.
             short_kd=kd_text if study.holds_with_friction else f"{kd_text} {study.units.damping}",
-            least=least_text,
-            most="" if largest is None else most_text,
+            least=format_bound(least, kp, upper=False),
+            most="" if largest is None else format_bound(kd * largest, kd, upper=True),
         )
     least_factor = study.least_kp.factor
     return text(
@@ -189,8 +192,8 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         kd=_format_range((one.kd for one in study.classes), study.units.damping),
         stiffnesses=_format_range((one.kp for one in study.classes), between=".."),
         dampings=_format_range((one.kd for one in study.classes), between=".."),
-        least="" if least_factor is None else format_number(least_factor, ".3g"),
-        most="" if largest is None else format_number(largest, ".3g"),
+        least="" if least_factor is None else format_bound(least_factor, 1.0, upper=False),
+        most="" if largest is None else format_bound(largest, 1.0, upper=True),
     )
 
 
@@ -262,14 +265,14 @@ def _make_class_table(study: GainStudy) -> doc.Table:
             doc.Name(one.name),
             doc.number_cell(one.kp, ".4g"),
             *_reference_cells(study, one.reference_kp),
-            doc.number_cell(one.least_kp, ".3g"),
-            doc.number_cell(one.largest_kp_of_torque, ".3g"),
+            make_bound_cell(one.least_kp, one.kp, upper=False),
+            make_bound_cell(one.largest_kp_of_torque, one.kp, upper=True),
             doc.number_cell(one.recommended_kp, ".3g"),
             doc.number_cell(one.kd, ".4g"),
             *_reference_cells(study, one.reference_kd),
-            doc.number_cell(one.largest_kd, ".3g"),
-            doc.number_cell(one.largest_kd_alone, ".3g"),
-            doc.number_cell(one.largest_kd_of_encoder, ".3g"),
+            make_bound_cell(one.largest_kd, one.kd, upper=True),
+            make_bound_cell(one.largest_kd_alone, one.kd, upper=True),
+            make_bound_cell(one.largest_kd_of_encoder, one.kd, upper=True),
             doc.number_cell(one.recommended_kd, ".3g"),
         )
         for one in study.classes
@@ -342,7 +345,8 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
         notes.append(
             text(
                 "gains-note-alone",
-                kp=f"{format_number(study.least_kp_alone, '.3g')} {study.units.stiffness}",
+                kp=f"{format_number(round_up(study.least_kp_alone, 3), '.3g')} "
+                f"{study.units.stiffness}",
             )
         )
     return doc.Table(

@@ -14,9 +14,7 @@ import numpy as np
 
 from pupper_analysis.base.arguments import match_names
 from pupper_analysis.base.diagnostics import format_number, merge_diagnostics
-from pupper_analysis.base.units import (
-    find_common_units,
-)
+from pupper_analysis.base.units import find_common_units, round_up
 from pupper_analysis.prepare.causes import STIFFNESS_FACTOR
 from pupper_analysis.prepare.passes import PassRun
 from pupper_analysis.present import document as doc
@@ -31,7 +29,8 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.servos import (
     describe_servo_gains,
     exceeds_explicit_damping,
-    round_bound,
+    format_bound,
+    make_bound_cell,
     split_servo_statement,
 )
 from pupper_analysis.present.documents.standing import (
@@ -327,14 +326,9 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
         "servos-below-least-kp" if servos.uniform else "servos-below-least-factor",
         kp=format_number(kp, ".3g"),
         unit=servos.units.stiffness,
-        least=format_number(least * kp, ".3g"),
-        tried="" if factor is None else format_number(factor * kp, ".3g"),
+        least=format_bound(least * kp, kp, upper=False),
+        tried="" if factor is None else format_bound(factor * kp, kp, upper=False),
     )
-
-
-def _make_bound_cell(bound: float | None, gain: float) -> doc.Number:
-    """Create the table cell of a bound of a servo gain; an empty cell without a bound."""
-    return doc.number_cell(None if bound is None else round_bound(bound, gain), "g")
 
 
 def _make_servo_table(servos: ServoBounds) -> doc.Table:
@@ -346,9 +340,9 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
         (
             doc.Name(bounds.name),
             doc.number_cell(bounds.kp, ".4g"),
-            _make_bound_cell(bounds.least_kp, bounds.kp),
+            make_bound_cell(bounds.least_kp, bounds.kp, upper=False),
             doc.number_cell(bounds.kd, ".4g"),
-            _make_bound_cell(bounds.largest_kd, bounds.kd),
+            make_bound_cell(bounds.largest_kd, bounds.kd, upper=True),
         )
         for bounds in servos.classes
     ]
@@ -396,7 +390,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
-            kp=f"{stance.minimum_stiffness:.2f} {_get_stiffness_unit(stance)}",
+            kp=f"{format_number(round_up(stance.minimum_stiffness, 3), '.3g')} "
+            f"{_get_stiffness_unit(stance)}",
         )
     if stance.no_stiffness is not None:
         yield doc.diagnostic_text(stance.no_stiffness).with_mark("warn")
