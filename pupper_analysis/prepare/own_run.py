@@ -435,7 +435,7 @@ ctrl of the keyframe, if stated, is then used. Chosen, not tuned.
 
 @dataclass(frozen=True, eq=False)
 class PostureKeyframe:
-    """Keyframe from which a posture of a robot with a fixed base was computed.
+    """Keyframe from which a posture was computed.
 
     Attributes:
         key: Index of the keyframe in the published model.
@@ -457,12 +457,12 @@ def find_posture_keyframe(robot: Robot, joints: Array) -> PostureKeyframe | None
     """Find the keyframe of the published file from which a posture was computed.
 
     Args:
-        robot: Prepared robot with a fixed base.
+        robot: Prepared robot.
         joints: Joint positions of the posture, shape (nu,) [rad, m], with closed loops.
 
     Returns:
-        First keyframe that equals the posture after its loops and couplings are closed; None
-        without such a keyframe.
+        First keyframe whose joint positions equal the posture after its loops and couplings are
+        closed; None without such a keyframe.
     """
     model = robot.compute_once(get_published_model)
     if model is None:

@@ -26,6 +26,7 @@ from pupper_analysis.prepare.limits import (
     loads_motor_without_torque,
     springs_replace_motors,
 )
+from pupper_analysis.prepare.own_run import find_posture_keyframe
 from pupper_analysis.prepare.self_check import (
     compare_nominal_stand,
     explain_own_run,
@@ -69,6 +70,8 @@ class Drop:
         height: Height of the base, shape (n,) [m].
         height_deviation: Standard deviation of the height in the last second [m].
         end: Comparison of the final state with the home pose on the ground.
+        keyframe: Name of the keyframe of the file whose joint positions the servos hold; "" if
+            loading has found another start pose (``Robot.home``).
         stable: True if ``height_deviation`` is below ``STABLE_DEVIATION``, the robot stands, and
             the simulation has not diverged.
     """
@@ -77,6 +80,7 @@ class Drop:
     height: Array
     height_deviation: float
     end: StandCheck
+    keyframe: str
     stable: bool
 
 
@@ -101,7 +105,9 @@ def simulate_drop(robot: Robot) -> Drop:
     time = timestep * np.arange(len(height), dtype=np.float64)
     end = _check_landing(robot, data)
     stable = deviation < STABLE_DEVIATION and end.stands and not was_reset_by_mujoco(data)
-    return Drop(time, height, deviation, end, stable)
+    keyframe = find_posture_keyframe(robot, robot.home[robot.nq - robot.nu :])
+    name = "" if keyframe is None else keyframe.name
+    return Drop(time, height, deviation, end, name, stable)
 
 
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
@@ -261,7 +267,11 @@ def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
 
 
 def format_drop(result: Drop) -> tuple[str, str]:
-    """Return two texts about a dropped robot: base height and its deviation; tilt and contacts."""
+    """Return two texts about a dropped robot.
+
+    The first contains the base height and its deviation, the second tilt, contacts, and the pose
+    that the servos hold: not the stand of `stand`, which solves its own pose.
+    """
     still = result.height_deviation < STABLE_DEVIATION
     end = result.end
     ending = "" if still else ": NOT stable"
@@ -277,4 +287,6 @@ def format_drop(result: Drop) -> tuple[str, str]:
     if not result.stable and end.collapses:
         height, expected = 1e3 * end.height, 1e3 * end.expected_height
         words.append(f"CoM {height:.0f} mm high instead of {expected:.0f} mm")
-    return rest, ", ".join(words) + ("" if result.stable or not still else ": NOT stable")
+    landing = ", ".join(words) + ("" if result.stable or not still else ": NOT stable")
+    pose = f"keyframe {result.keyframe}" if result.keyframe else "the start pose"
+    return rest, f"{landing}; servos hold {pose}, not the solved stand"

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present import display
 from pupper_analysis.tools.live import window as viewer
+from tests.support import legged
 from tests.support.variants import load
 
 GRAVITY = 9.81
@@ -41,8 +43,26 @@ def test_drop_report_states_height_deviation_and_contacts(dropped: viewer.Drop) 
     """References: nominal height 0.120 m of v3; bare MuJoCo tilts by 0.03 rad, at rest."""
     assert viewer.format_drop(dropped) == (
         "base height 120 mm, standard deviation in the last second 0.00 mm (limit 5 mm)",
-        "tilt 1.7 deg, only the feet touch the ground",
+        "tilt 1.7 deg, only the feet touch the ground; servos hold keyframe home, "
+        "not the solved stand",
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("keyframe", "pose"), [("0 0.6 -1.2", "keyframe home"), ("", "the start pose")]
+)
+def test_drop_report_names_the_pose_that_the_servos_hold(
+    tmp_path: Path, keyframe: str, pose: str
+) -> None:
+    """Reference: the commands of the drop, compared with the joint positions in the file."""
+    pair = legged.quadruped(tmp_path, floor=True, actuators="position", keyframe=keyframe)
+    robot = pa.load_robot(pair.mjcf)
+    held = viewer.make_home_data(robot).ctrl
+    stated = np.tile(np.fromstring(keyframe or "0 0 0", sep=" "), 4)
+    assert np.allclose(held, stated, rtol=0, atol=1e-9) is bool(keyframe)
+    line = viewer.format_drop(viewer.simulate_drop(robot))[1]
+    assert line.endswith(f"; servos hold {pose}, not the solved stand")
 
 
 def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
