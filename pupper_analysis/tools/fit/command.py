@@ -546,7 +546,8 @@ def _select_next_step(
 ) -> NextStep | None:
     """Return the command to run next, depending on the type of ``result``, or None.
 
-    For example, a plan is followed by a recording of the planned stands.
+    For example, a plan is followed by a recording of the planned stands. If more stands determine
+    many more parameters, a plan without output is followed by a plan of twice as many stands.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -559,6 +560,9 @@ def _select_next_step(
             "walk", ("--policy", "policy.json", "--trace", result.file), omitted=_MEASURING_OPTIONS
         )
     if isinstance(result, StandPlan):
+        if output is None and result.more_stands_help:
+            words = ("--plan", str(2 * len(result.stands)), "-o", "plan.csv")
+            return NextStep("fit", words, omitted=("--plan",))
         if output is None:
             return NextStep("fit", ("-o", "plan.csv"))
         words = ("--record", str(output), "--bridge", "typed", "-o", "stands.csv")

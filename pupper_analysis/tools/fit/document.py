@@ -317,7 +317,8 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Create the report of a measurement plan: stands, and predicted interval per parameter."""
-    num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
+    num_determined = plan.determined.total()
+    known_mass, others = _describe_known_mass(plan), _describe_other_parameters(plan)
     expected = _make_estimate_table(
         text("what-stands-will-tell"), plan.expected, detail=True, planned=True
     )
@@ -338,7 +339,8 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 kinds=_count_most_common_kind(plan),
                 angles=sum(len(stand.command) for stand in plan.stands),
             ),
-            *_describe_known_mass(plan),
+            *(others if plan.more_stands_help else known_mass),
+            *(known_mass if plan.more_stands_help else others),
             text("typed-bridge"),
         ),
         details=(text("how-to-take-stands"),),
@@ -351,13 +353,31 @@ def _count_most_common_kind(plan: StandPlan) -> doc.Text | str:
 
     Parameters count that the measurements alone determine. The result is empty without any.
     """
-    counts = Counter(
-        estimate.kind for estimate in plan.expected if estimate.determined is Determined.DATA
-    )
-    if not counts:
+    if not plan.determined:
         return ""
-    ((kind, count),) = counts.most_common(1)
+    ((kind, count),) = plan.determined.most_common(1)
     return text("most-common-kind", count=count, kind=doc.word(kind))
+
+
+def _describe_other_parameters(plan: StandPlan) -> Iterator[doc.Words]:
+    """Yield the text about parameters that the stands do not determine, and the remedies.
+
+    The remedies are more stands, and known values (``--prior``). The text names the most common
+    kind that even all candidates do not determine. Without such parameters, there is no text.
+    """
+    of_robot = Counter(
+        estimate.kind for estimate in plan.expected if estimate.kind not in SURROUNDINGS_KINDS
+    )
+    remaining = of_robot - Counter(plan.determined_by_all)
+    if remaining:
+        ((kind, count),) = remaining.most_common(1)
+        yield text(
+            "more-stands",
+            stands=plan.candidates,
+            determined=sum(plan.determined_by_all.values()),
+            kind=kind,
+            count=count,
+        )
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:

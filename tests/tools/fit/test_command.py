@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from contextlib import nullcontext
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +26,7 @@ from pupper_analysis.tools.fit.command import (
     _write_gain_options,
 )
 from pupper_analysis.tools.fit.command import command as fit_command
-from pupper_analysis.tools.fit.stands.plan import StandPlan
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan
 from tests.support import arm
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
@@ -280,6 +280,18 @@ def test_refusal_of_an_option_names_the_modes_that_use_the_option(
         "omit one of the two"
     )
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "--weight", "3kg"), message)
+
+
+def test_plan_proposes_twice_the_stands_only_if_these_determine_more() -> None:
+    """A plan of 5 stands proposed itself; all 30 candidates determine 28 parameters, not 0."""
+    planned = PlannedStand("s01", (), {"knee": 0.5}, 0.25)
+    plan = StandPlan("v3", stands=(planned,) * 5, expected=(), candidates=30)
+    steps = [
+        _select_next_step(replace(plan, determined_by_all=counts), None)
+        for counts in ({"kp": 28}, {})
+    ]
+    words = [step.words for step in steps if step is not None]
+    assert words == [("--plan", "10", "-o", "plan.csv"), ("-o", "plan.csv")]
 
 
 def test_recording_after_a_plan_omits_the_options_that_it_refuses() -> None:

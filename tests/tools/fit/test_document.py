@@ -150,6 +150,21 @@ def test_plan_counts_the_determined_parameters_by_kind() -> None:
     assert line.endswith(f"(2 of them {known.kind}) falls to ≤1/3")
 
 
+def test_plan_states_what_more_stands_determine_and_what_needs_a_known_value() -> None:
+    """All candidates determine 4 of 5 parameters; a plan of 2 stands determines 1."""
+    known = describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.DATA)
+    unknown = replace(known, determined=Determined.PRIOR)
+    plan = replace(
+        stand_plan(), expected=(known, *4 * (unknown,)), determined_by_all={known.kind: 4}
+    )
+    assert plan.more_stands_help
+    line = getattr(make_document(plan).findings[1], "short", "")
+    expected = f"72 stands would narrow 4; for 1 more ({known.kind}), state measured values"
+    assert line == f"{expected} with --prior"
+    enough = replace(plan, determined_by_all={known.kind: 1})
+    assert not enough.more_stands_help
+
+
 def write_document(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
 

@@ -81,6 +81,8 @@ def test_plan_has_known_masses_rotations_and_few_three_leg_stands(tmp_path: Path
     narrowed = {one.name: one.std for one in plan.expected}
     assert narrowed["kp leg_front_r_3"] < 0.5 * 1.5  # without a known mass, and no scale: 0.72
     assert narrowed["added base_link"] > 0.9 * 0.005
+    assert plan.more_stands_help  # a plan of 12 stands determines every kp
+    assert plan.determined["kp"] < plan.determined_by_all["kp"] == robot.nu
 
 
 @pytest.mark.slow

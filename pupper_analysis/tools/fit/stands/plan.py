@@ -39,7 +39,12 @@ from pupper_analysis.statics.equilibrium import compute_utilisation, peak_utilis
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.stands import MIN_STANDS, MeasuredStands, format_stands
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
-from pupper_analysis.tools.fit.result import Estimate, classify_determination, describe_parameter
+from pupper_analysis.tools.fit.result import (
+    Determined,
+    Estimate,
+    classify_determination,
+    describe_parameter,
+)
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS_FRACTION,
@@ -57,6 +62,11 @@ _MAX_STANDS = 1000
 _CANDIDATES_PER_STAND = 6
 """Requested number of random candidates per planned stand. Chosen, not tuned.
 """
+
+
+MIN_GAIN = 2
+"""Lower bound of (parameters that the measurements of all candidates determine / parameters that
+the planned stands determine) with which more stands are proposed. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +100,9 @@ class StandPlan(Result):
         stands: Stands.
         expected: Parameters with the stated values and the expected intervals.
         candidates: Number of random stands from which the stands were chosen.
+        determined_by_all: {parameter kind: number of parameters that the measurements would
+            determine if all candidates were measured}. Further stands determine about these
+            parameters; kinds without such a parameter need a known value (a prior).
         place: Link and position of the known mass; None if there is none.
         slides: Names of the joints that are slides.
     """
@@ -98,8 +111,20 @@ class StandPlan(Result):
     stands: tuple[PlannedStand, ...]
     expected: tuple[Estimate, ...]
     candidates: int
+    determined_by_all: Mapping[str, int] = field(default_factory=dict)
     place: Tool | None = None
     slides: tuple[str, ...] = ()
+
+    @property
+    def determined(self) -> Counter[str]:
+        """{parameter kind: number of parameters that the measurements of the stands determine}."""
+        return _count_determined(self.expected)
+
+    @property
+    def more_stands_help(self) -> bool:
+        """True if all candidates determine `MIN_GAIN` times as many parameters as the stands."""
+        of_all = sum(self.determined_by_all.values())
+        return of_all >= max(1, MIN_GAIN * self.determined.total())
 
 
 @check_arguments
@@ -170,12 +195,14 @@ def plan_stands(
         informations, table.precision, count, lifted, count // _STANDS_PER_LIFTED_FOOT
     )
     information = table.precision + np.sum([informations[index] for index in chosen], axis=0)
+    information_of_all = table.precision + np.sum(informations, axis=0)
     return StandPlan(
         name=robot.name,
         slides=tuple(joint for joint in robot.joint_names if is_slide(robot, joint)),
         stands=_number_stands([candidates[index] for index in chosen]),
         expected=_expect_estimates(table, information),
         candidates=len(candidates),
+        determined_by_all=dict(_count_determined(_expect_estimates(table, information_of_all))),
         place=place if loaded_robot is not robot else None,
     )
 
@@ -238,6 +265,13 @@ def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estima
             classify_determination(float(ratio) ** 2),
         )
         for parameter, ratio in zip(table.parameters, deviation, strict=True)
+    )
+
+
+def _count_determined(estimates: Sequence[Estimate]) -> Counter[str]:
+    """Count the parameters of each kind that the measurements determine."""
+    return Counter(
+        estimate.kind for estimate in estimates if estimate.determined is Determined.DATA
     )
 
 
