@@ -51,6 +51,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import (
     ElementDifference,
     SimulatedPair,
+    align_keyframes,
     find_changed_compiler_settings,
     find_changed_elements,
     match_elements,
@@ -335,7 +336,11 @@ class _Comparison:
             self.differences.append(change.to_difference(effects))
         self.differences += self._compare_extra_values()
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
-        matched = match_elements(self.one.elements, self.two.elements, renamed, self.old_name)
+        elements = self.two.elements
+        if isinstance(self.one.file, MjcfFile) and isinstance(self.two.file, MjcfFile):
+            models = self.one.file.model, self.two.file.model
+            elements = align_keyframes(*models, elements, self.old_name)
+        matched = match_elements(self.one.elements, elements, renamed, self.old_name)
         self.differences += find_changed_elements(self.one.elements, matched)
         combined = self._simulate_versions()
         patched = trial.evaluate_tree(apply_changes(first, second, VERSION_NAMES))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import count
 from typing import Any, Final
@@ -376,6 +376,67 @@ def match_elements(
             name = joints.get(name, name)
         matched[kind, name] = element
     return matched
+
+
+def align_keyframes(
+    old: mujoco.MjModel,
+    new: mujoco.MjModel,
+    elements: Mapping[ElementKey, ModelElement],
+    joints: Mapping[str, str],
+) -> dict[ElementKey, ModelElement]:
+    """Return ``elements`` with the numbers of each keyframe in the order of the old model.
+
+    The numbers of a keyframe belong to joints and actuators in the order of the file: equal numbers
+    in another order of the joints are another pose. Numbers are left in the order of the new model
+    if joints or actuators were added or removed.
+
+    Args:
+        old: Compiled model of the old file.
+        new: Compiled model of the new file.
+        elements: Elements of the new file.
+        joints: {joint of the new file: name in the old file}.
+    """
+    before, after = _list_keyframe_entries(old, {}), _list_keyframe_entries(new, joints)
+    orders = {
+        word: [after[word].index(entry) for entry in before[word]]
+        for word in before
+        if sorted(before[word]) == sorted(after[word])
+    }
+    aligned = dict(elements)
+    for key, element in elements.items():
+        if key[0] == "key":
+            values = {
+                word: tuple(numbers[index] for index in orders[word]) if word in orders else numbers
+                for word, numbers in element.values.items()
+            }
+            aligned[key] = replace(element, values=values)
+    return aligned
+
+
+def _list_keyframe_entries(
+    model: mujoco.MjModel, joints: Mapping[str, str]
+) -> dict[str, list[tuple[str, int]]]:
+    """Return {attribute of a keyframe: (joint or actuator, number in the element) per entry}.
+
+    ``joints`` is {name of a joint in the model: name to use instead}.
+    """
+    entries: dict[str, list[tuple[str, int]]] = {
+        word: [] for word in ("qpos", "qvel", "ctrl", "act")
+    }
+    for joint in range(model.njnt):
+        name = joint_name(model, joint)
+        name = joints.get(name, name)
+        kind = int(model.jnt_type[joint])
+        sizes = {JointKind.FREE: (7, 6), JointKind.BALL: (4, 3)}.get(JointKind(kind), (1, 1))
+        for word, size in zip(("qpos", "qvel"), sizes, strict=True):
+            entries[word] += [(name, number) for number in range(size)]
+    for actuator in range(model.nactuator):
+        name = model.actuator(actuator).name or f"#{actuator}"
+        controls = int(model.actuator_ctrlnum[actuator])
+        states = int(model.actuator_actnum[actuator])
+        entries["ctrl"] += [(name, number) for number in range(controls)]
+        entries["act"] += [(name, number) for number in range(states)]
+    return entries
 
 
 def _list_unnamed_shapes(

@@ -218,6 +218,43 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
     ]
 
 
+TWO_ARMS = """<mujoco><worldbody><body name="base">{bodies}</body></worldbody>
+<actuator>{motors}</actuator>
+<keyframe><key name="home" qpos="{qpos}" qvel="{qvel}" ctrl="{ctrl}"/></keyframe></mujoco>"""
+ARMS = {
+    name: f'<body pos="{place} 0 1"><joint name="{name}" axis="0 1 0" damping="1"/>'
+    '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".01" mass="1"/></body>'
+    for name, place in (("a", 0), ("b", 1))
+}
+MOTORS = {name: f'<position name="{name}" joint="{name}" kp="50"/>' for name in ARMS}
+
+
+def write_two_arms(order: str, motors: str, qpos: str, ctrl: str) -> str:
+    """Returns two arms with joints and motors in an order, and a keyframe."""
+    return TWO_ARMS.format(
+        bodies="".join(ARMS[name] for name in order),
+        motors="".join(MOTORS[name] for name in motors),
+        qpos=qpos,
+        qvel=qpos,
+        ctrl=ctrl,
+    )
+
+
+def test_numbers_of_a_keyframe_are_compared_by_joint_and_actuator(tmp_path: Path) -> None:
+    """References: equal numbers for other joints or actuators are another pose or command; the same
+    numbers for the same joints in another order are no change.
+    """
+    old = write_two_arms("ab", "ab", "0.1 0.5", "0.2 0.6")
+    for changed, words in {
+        ("ba", "ab", "0.1 0.5", "0.2 0.6"): {"qpos", "qvel"},
+        ("ab", "ba", "0.1 0.5", "0.2 0.6"): {"ctrl"},
+        ("ba", "ba", "0.5 0.1", "0.6 0.2"): set(),
+    }.items():
+        diff = pa.diff_models(*write_both(tmp_path, old, write_two_arms(*changed), "xml"))
+        assert {str(change.diagnostic.values["what"]) for change in diff.changes} == words
+        assert diff.same is (not words)
+
+
 def test_base_that_became_fixed_is_a_change(tmp_path: Path) -> None:
     text = mjcf_text(ROBOT)
     diff = pa.diff_models(*write_both(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
