@@ -57,6 +57,7 @@ from pupper_analysis.tools.diff.elements import (
     match_elements,
 )
 from pupper_analysis.tools.diff.version import (
+    FORCE_RANGES,
     HELD_KIND,
     Version,
     VersionedFile,
@@ -407,6 +408,7 @@ class _Comparison:
             if kind == HELD_KIND:
                 old = old or _get_joint_type(self.one.tree, element)
                 new = new or _get_joint_type(self.two.tree, self.new_name.get(element, element))
+            old, new = _drop_symmetric_ranges(old, new), _drop_symmetric_ranges(new, old)
             if _to_lists(old) != _to_lists(new):
                 both = {
                     "one": _describe_changed_value(old, new),
@@ -481,6 +483,22 @@ def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
         name = value["at"].removeprefix("joint ")
         return {**value, "at": f"joint {names.get(name, name)}"}
     return value
+
+
+def _drop_symmetric_ranges(value: Any, other: Any) -> Any:
+    """Return the values of a motor without force ranges that the efforts of joints represent.
+
+    An effort represents the range of an actuator at a joint if the ends have equal magnitudes in
+    both versions. ``other`` contains the values of the other version.
+    """
+    if not isinstance(value, dict) or not str(value.get("at", "")).startswith("joint "):
+        return value
+    compared = dict(value)
+    for word in FORCE_RANGES:
+        ranges = [table[word] for table in (value, other) if table and word in table]
+        if not any(sum(ends) for ends in ranges):
+            compared.pop(word, None)
+    return compared
 
 
 def _to_lists(value: Any) -> Any:

@@ -223,8 +223,15 @@ def _find_tree_root(model: mujoco.MjModel, names: list[str]) -> str:
     return str(model.body(body).name)
 
 
+FORCE_RANGES: Final = ("forcerange", "actuatorfrcrange")
+"""Ranges of the force of an actuator, and of the torque at its joint, in the values of motors."""
+
+
 def _collect_motor_values(scene: NamedModel) -> dict[tuple[str, str], Any]:
-    """Collect transmission, gains and control ranges of actuators: {("motor", name): values}."""
+    """Collect transmission, gains and ranges of actuators: {("motor", name): values}.
+
+    The ranges are those of commands (``ctrlrange``) and forces (`FORCE_RANGES`).
+    """
     model, found = scene.model, {}
     for motor in range(model.nactuator):
         value: dict[str, Any] = {
@@ -238,6 +245,11 @@ def _collect_motor_values(scene: NamedModel) -> dict[tuple[str, str], Any]:
             if model.actuator_ctrllimited[control]:
                 word = "ctrlrange" if control == first else f"ctrlrange {control - first + 1}"
                 value[word] = _to_numbers(model.actuator_ctrlrange[control], trim=False)
+        if model.actuator_forcelimited[motor]:
+            value["forcerange"] = _to_numbers(model.actuator_forcerange[motor], trim=False)
+        target, (joint, _) = list_actuator_targets(model, motor)
+        if target == mujoco.mjtObj.mjOBJ_JOINT and model.jnt_actfrclimited[joint]:
+            value["actuatorfrcrange"] = _to_numbers(model.jnt_actfrcrange[joint], trim=False)
         found["motor", scene.name("actuator", motor)] = value
     return found
 

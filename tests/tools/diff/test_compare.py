@@ -218,6 +218,45 @@ def test_tendon_and_site_motors_are_matched_by_target_name(tmp_path: Path) -> No
     ]
 
 
+TURN = """<mujoco><worldbody><body><joint name="turn" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".01" mass="1"/></body></worldbody>
+<actuator><motor name="turn" {}/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reported"),
+    [
+        ('joint="turn" forcerange="-9 9"', 'joint="turn" forcerange="-9 2"', "forcerange (-9, 2)"),
+        ('joint="turn" forcerange="-2 9"', 'joint="turn" forcerange="-9 2"', "forcerange (-9, 2)"),
+        ('joint="turn"', 'joint="turn" forcerange="-9 2"', "forcerange (-9, 2)"),
+        ('site="tip" forcerange="-9 9"', 'site="tip" forcerange="-7 7"', "forcerange (-7, 7)"),
+    ],
+)
+def test_changed_force_range_of_one_direction_is_reported(
+    tmp_path: Path, old: str, new: str, reported: str
+) -> None:
+    """Reference: the ranges of the compiled models differ; `diff` compared the larger ends."""
+    text = TURN.replace("<geom", '<site name="tip"/><geom')
+    files = write_both(tmp_path, text.format(old), text.format(new), "xml")
+    ranges = [mujoco.MjModel.from_xml_path(str(file)).actuator_forcerange for file in files]
+    assert not np.array_equal(*ranges)
+    diff = pa.diff_models(*files)
+    assert not diff.same
+    messages = [change.message for change in diff.changes if change.kind == "motor"]
+    assert [reported in message for message in messages] == [True]
+
+
+def test_changed_torque_range_of_a_joint_in_one_direction_is_reported(tmp_path: Path) -> None:
+    text = TURN.replace('axis="0 1 0"', 'axis="0 1 0" actuatorfrcrange="{}"').replace("{}/", "/")
+    old, new = (text.replace("{}", ends) for ends in ("-9 9", "-9 2"))
+    old, new = (text.replace("<motor ", '<motor joint="turn" ') for text in (old, new))
+    diff = pa.diff_models(*write_both(tmp_path, old, new, "xml"))
+    assert [change.message for change in diff.changes] == [
+        "motor turn: actuatorfrcrange (-9, 9) in the old file, "
+        "actuatorfrcrange (-9, 2) in the new file"
+    ]
+
+
 TWO_ARMS = """<mujoco><worldbody><body name="base">{bodies}</body></worldbody>
 <actuator>{motors}</actuator>
 <keyframe><key name="home" qpos="{qpos}" qvel="{qvel}" ctrl="{ctrl}"/></keyframe></mujoco>"""
