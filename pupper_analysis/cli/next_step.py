@@ -16,13 +16,21 @@ from typing import Any
 
 import click
 
-from pupper_analysis.base.errors import ModelError, StanceUnreachableError, UnknownNameError
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import (
+    ModelError,
+    StanceUnreachableError,
+    UnknownNameError,
+    VariantError,
+)
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.cli.shared import (
     ROBOT_WORDS,
     TYPED_WORDS,
+    Command,
     OutputPath,
     print_text,
     sort_model_paths,
@@ -269,6 +277,30 @@ def complete_audit_command(error: ModelError) -> str:
     return complete_command(NextStep("audit", (*words, *repair), robot_typed=not words))
 
 
+def make_second_model_error(command: Command, present: Path) -> click.UsageError:
+    """Create the error about a missing MJCF in `crosscheck` and `sync`, with the next command.
+
+    Args:
+        command: Running command.
+        present: Typed URDF, MJCF, or name of a published robot.
+
+    Raises:
+        VariantError: If the word names no robot.
+        ModelError: If the published robot is not downloaded.
+    """
+    from pupper_analysis.models.published import find_file, is_published_name
+    from pupper_analysis.pupper.named_robots import refuse_unknown_variant
+
+    refuse_unknown_variant(str(present))
+    error = command.make_missing_error(click.get_current_context(), "mjcf")
+    if is_published_name(str(present)):
+        find_file(present)
+        error.add_note(complete_command(NextStep("audit", (str(present),), robot_typed=False)))
+    else:
+        error.add_note(complete_pair_command(present))
+    return error
+
+
 def complete_pair_command(present: Path, missing: Path | None = None) -> str:
     """Create the command line after the refusal of `crosscheck` or `sync` with a single model file.
 
@@ -328,15 +360,124 @@ def complete_corrected_command(error: UnknownNameError) -> str:
         Command line; empty if no valid name is similar, or no option or argument contains the
         unknown name as a whole word.
     """
-    context = click.get_current_context(silent=True)
-    if context is None or not error.correction or not isinstance(error.name, str):
+    if not error.correction or not isinstance(error.name, str):
         return ""
-    pattern = re.compile(rf"(?<![^=,:\s]){re.escape(error.name)}(?![^=,:\s])")
+    return _correct_typed_command(error.name, error.correction)
+
+
+def _correct_typed_command(unknown: str, correction: str) -> str:
+    """Create the typed command line with another name in place of an unknown name.
+
+    Empty if no command is running, or no typed word contains the unknown name as a whole word.
+    """
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return ""
     typed = list(map(str, context.meta.get(TYPED_WORDS, ())))
-    words = [pattern.sub(lambda _: error.correction, word) for word in typed]
+    words = _replace_name(typed, unknown, correction)
     if words == typed:
         return ""
     return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
+
+
+def _replace_name(words: Sequence[str], name: str, replacement: str) -> list[str]:
+    """Replace a name in words, where the name is a whole word or a part between ``=``, ``,``."""
+    pattern = re.compile(rf"(?<![^=,:\s]){re.escape(name)}(?![^=,:\s])")
+    return [pattern.sub(lambda _: replacement, word) for word in words]
+
+
+_COMMANDS_ABOUT_STANDS = (
+    *("analyze", "best", "gains", "heat", "live", "path", "payload", "push", "stand", "walk"),
+    "workspace",
+)
+"""Commands that refuse a robot with a fixed base, unless the base is welded."""
+
+
+def correct_unknown_robot(error: VariantError) -> VariantError:
+    """Add the command line with the proposed robot to the error about a word that names no robot.
+
+    In a command about stands, the robots are those of the kind of the most similar robot: all have
+    a fixed base, or none. For a fixed base, the command line is that for a fixed base.
+
+    Returns:
+        Error with the command line as a note; the given error if the word names no similar robot.
+    """
+    from pupper_analysis.models.published import has_fixed_base
+    from pupper_analysis.pupper.named_robots import make_known_robots_error
+
+    context = click.get_current_context(silent=True)
+    problem = error.diagnostic.values.get("valid")
+    if context is None or not isinstance(problem, Diagnostic) or not isinstance(error.value, str):
+        return error
+    similar, absent = problem.values.get("alike"), str(problem.values.get("absent", ""))
+    names = [*(map(str, similar) if isinstance(similar, tuple) else ()), *filter(None, [absent])]
+    if problem.code != "known-robots" or not names:
+        return error
+    fixed = False
+    if str(context.command.name) in _COMMANDS_ABOUT_STANDS:
+        fixed = has_fixed_base(names[0])
+        names = [name for name in names if has_fixed_base(name) == fixed]
+    corrected = make_known_robots_error(
+        error.value,
+        [name for name in names if name != absent],
+        [name for name in names if name == absent],
+        fixed=fixed,
+    )
+    corrected.add_note(_complete_download(error.value, names[0], absent, fixed=fixed))
+    return corrected
+
+
+def correct_absent_model(error: ModelError) -> ModelError:
+    """Add the command lines that download a published model and run the typed command.
+
+    For a robot with a fixed base in a command about stands, the command for a fixed base is run.
+
+    Returns:
+        Error with the command lines as a note.
+    """
+    from pupper_analysis.models.published import has_fixed_base
+
+    context = click.get_current_context(silent=True)
+    name = "" if context is None else str(context.command.name)
+    fixed = name in _COMMANDS_ABOUT_STANDS and has_fixed_base(error.source)
+    cause = replace(error.cause, values=FrozenDict({**error.cause.values, "fixed": fixed}))
+    corrected = ModelError(error.source, cause)
+    corrected.add_note(_complete_download(error.source, error.source, error.source, fixed=fixed))
+    return corrected
+
+
+def _complete_download(typed: str, name: str, absent: str, *, fixed: bool) -> str:
+    """Create the command line with the name of a robot in place of a typed word.
+
+    Args:
+        typed: Typed word.
+        name: Name of the robot.
+        absent: Name of the robot that must be downloaded first; empty if none.
+        fixed: True for the command for a fixed base, in place of the running command.
+
+    Returns:
+        Command line; empty if no typed word contains the word ``typed``, for example.
+    """
+    from pupper_analysis.models.published import make_download_command
+    from pupper_analysis.pupper.named_robots import is_variant
+
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return ""
+    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    single = len(list_typed_robot(context)) == 1
+    if single and {"urdf", "mjcf"} <= arguments and not is_variant(name):  # no second file
+        line = complete_command(NextStep("audit", (name,), robot_typed=False))
+    elif fixed:
+        line = complete_fixed_base_command(str(context.command.name))
+        line = shlex.join(_replace_name(shlex.split(line), typed, name))
+    elif name == typed:
+        words = (str(context.command.name), *map(str, context.meta.get(TYPED_WORDS, ())))
+        line = f"{GENERATOR_NAME} {shlex.join(words)}"
+    else:
+        line = _correct_typed_command(typed, name)
+    parts = (make_download_command(absent) if name == absent else "", line)
+    return " && ".join(filter(None, parts))
 
 
 def complete_relaxed_command(error: StanceUnreachableError) -> str:

@@ -34,6 +34,7 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
     StanceUnreachableError,
     UnknownNameError,
+    VariantError,
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.kinds import Folder, OutputKind
@@ -192,6 +193,11 @@ robot."""
 _EFFORT_LIMIT_CODES = ("no-effort-limits", "effort-limit-is-zero")
 """Codes of errors about torque limits that an optimisation requires. `Command.invoke` adds the
 command line of `audit`, which lists the joints without a limit."""
+
+
+_ABSENT_MODEL_CODES = ("menagerie-not-downloaded", "description-not-cached")
+"""Codes of errors about a published model that must be downloaded. `Command.invoke` adds the
+command line that downloads the model."""
 
 
 def _complete_command_after_refusal(code: str, *, welds: bool) -> str:
@@ -441,23 +447,31 @@ class Command(click.Command):
                     named.add_note(note)
                 raise named from error
             raise
+        except VariantError as error:
+            from pupper_analysis.cli.next_step import correct_unknown_robot
+
+            raise correct_unknown_robot(error) from error.__cause__
         except ModelError as error:
-            if isinstance(error, UnknownNameError):
-                from pupper_analysis.cli.next_step import complete_corrected_command
-
-                error.add_note(complete_corrected_command(error))
-            elif error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
-                from pupper_analysis.cli.next_step import complete_audit_command
-
-                error.add_note(complete_audit_command(error))
-            elif error.cause.code == "no-such-file" and not error.cause.values.get("alike"):
-                error.add_note(_complete_pair_command(context, error))
-            raise
+            raise self._add_command_to_model_error(context, error) from error.__cause__
         except StanceUnreachableError as error:
             from pupper_analysis.cli.next_step import complete_relaxed_command
 
             error.add_note(complete_relaxed_command(error))
             raise
+
+    def _add_command_to_model_error(self, context: click.Context, error: ModelError) -> ModelError:
+        """Add the command line to run next, if any, to an error about a model."""
+        from pupper_analysis.cli import next_step
+
+        if error.cause.code in _ABSENT_MODEL_CODES:
+            return next_step.correct_absent_model(error)
+        if isinstance(error, UnknownNameError):
+            error.add_note(next_step.complete_corrected_command(error))
+        elif error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
+            error.add_note(next_step.complete_audit_command(error))
+        elif error.cause.code == "no-such-file" and not error.cause.values.get("alike"):
+            error.add_note(_complete_pair_command(context, error))
+        return error
 
     def _rename_field(
         self, context: click.Context, error: ConfigurationError

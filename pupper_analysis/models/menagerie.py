@@ -75,12 +75,37 @@ def find_menagerie_file(word: str) -> Path:
         cache = package.Cache()
         folder = cache.model_path(robot) if cache.is_cached(robot) else None
     if folder is None:
-        raise ModelError(word, diagnose("menagerie-not-downloaded", name=name))
+        download = make_menagerie_download(name)
+        raise ModelError(word, diagnose("menagerie-not-downloaded", download=download))
     file = folder.joinpath(*rest) if rest else _find_default_file(folder, name, robot)
     if file is None or not file.is_file():
         files = sorted(path.name for path in folder.glob("*.xml"))
         raise ModelError(word, diagnose("menagerie-without-file", name=name, files=files))
     return file
+
+
+def make_menagerie_download(name: str) -> str:
+    """Return the command line of the package ``mujoco-menagerie`` that downloads a robot."""
+    return f"python -m {MENAGERIE_PACKAGE[0]} prefetch {name}"
+
+
+_FIXED_CATEGORIES: Final = ("arm", "dual_arm", "end_effector")
+"""Categories of MuJoCo Menagerie whose robots have a fixed base."""
+
+
+def has_fixed_menagerie_base(word: str) -> bool:
+    """Return True if a word names an arm or hand of MuJoCo Menagerie, by the package's category.
+
+    False without the package, because a clone states no categories.
+    """
+    name = Path(word.removeprefix(f"{MENAGERIE_FOLDER}/")).parts[0] if word else ""
+    try:
+        package = _import_package()
+    except ModelError:
+        return False
+    if package is None or name not in package.names():
+        return False
+    return package.get(name).category in _FIXED_CATEGORIES
 
 
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:

@@ -20,7 +20,12 @@ from typing import Any, Final
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    ModelError,
+    PupperAnalysisError,
+    UnknownNameError,
+)
 from pupper_analysis.base.inputs import is_input, path_exists
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.menagerie import (
@@ -28,9 +33,11 @@ from pupper_analysis.models.menagerie import (
     MENAGERIE_PACKAGE,
     describe_error,
     find_menagerie_file,
+    has_fixed_menagerie_base,
     import_source,
     is_menagerie_name,
     list_menagerie_robots,
+    make_menagerie_download,
 )
 from pupper_analysis.models.places import Place, make_file_error, one_line
 from pupper_analysis.models.xml import (
@@ -181,6 +188,27 @@ def list_similar_published_names(word: str) -> list[str]:
     return similar[:_NUM_SIMILAR_NAMES]
 
 
+def is_available(name: str) -> bool:
+    """Return True if the model of a published robot is on this machine."""
+    try:
+        find_file(name)
+    except PupperAnalysisError:
+        return False
+    return True
+
+
+def has_fixed_base(name: str) -> bool:
+    """Return True if a published robot is known to have a fixed base; False if unknown."""
+    return is_menagerie_name(name) and has_fixed_menagerie_base(name)
+
+
+def make_download_command(name: str) -> str:
+    """Return the command line of another program that downloads the model of a published robot."""
+    if _is_description(name):
+        return f"python -m robot_descriptions pull {name.removeprefix(DESCRIPTION_PREFIX)}"
+    return make_menagerie_download(Path(name.removeprefix(f"{MENAGERIE_FOLDER}/")).parts[0])
+
+
 def list_source_problems() -> list[Diagnostic]:
     """Return a diagnostic for each package of published names that is missing or not importable."""
     problems = []
@@ -309,7 +337,8 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     try:
         return importlib.import_module(f"robot_descriptions.{name}")
     except _NotCachedError as error:
-        raise ModelError(source, diagnose("description-not-cached", name=name)) from error
+        problem = diagnose("description-not-cached", download=make_download_command(name))
+        raise ModelError(source, problem) from error
     except Exception as error:  # the module of a description is code of another package
         problem = diagnose("description-not-importable", name=name, message=describe_error(error))
         if isinstance(error, ModuleNotFoundError) and error.name == f"robot_descriptions.{name}":

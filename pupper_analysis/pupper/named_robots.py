@@ -7,16 +7,19 @@ memory, without line numbers.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, VariantError
-from pupper_analysis.base.inputs import find_similar_files
+from pupper_analysis.base.inputs import find_similar_files, is_input
 from pupper_analysis.models.published import (
+    is_available,
     is_published_name,
     list_similar_published_names,
     list_source_problems,
+    make_download_command,
 )
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
@@ -166,7 +169,7 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
     Args:
         word: Text that a user has given, for example on the command line.
         is_robot: True if the word must name a robot. False if the word may also name another
-            source: the word is then refused only if similar to the name of a variant.
+            source: the word is then refused only if similar to the name of a robot.
 
     Raises:
         VariantError: If the word is refused; the message lists all variants, and similar names.
@@ -175,21 +178,55 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
         return
     if Path(word).exists() or is_published_name(word):
         return
-    if is_robot or list_similar_variants(word):
+    if is_robot or list_similar_variants(word) or list_similar_published_names(word):
         raise make_unknown_robot_error(word)
 
 
 def make_unknown_robot_error(word: str) -> VariantError:
     """Return the error for a word that names no robot, with similar variants, files and names.
 
-    The message also names the packages of published names that are not installed.
+    A published robot that is not downloaded is proposed only if nothing else is similar. The
+    message also names the packages of published names that are not installed.
     """
-    files = map(str, find_similar_files(Path(word)))
-    similar = [*list_similar_variants(word), *files, *list_similar_published_names(word)]
+    files = map(str, (*_find_models_of_name(word), *find_similar_files(Path(word))))
+    published = list_similar_published_names(word)
+    loadable = [name for name in published if is_available(name)]
+    similar = dict.fromkeys((*list_similar_variants(word), *files, *loadable))
+    return make_known_robots_error(word, similar, () if similar else published)
+
+
+def make_known_robots_error(
+    word: str, similar: Iterable[str], absent: Sequence[str], *, fixed: bool = False
+) -> VariantError:
+    """Return the error for a word that names no robot, from the robots to propose.
+
+    Args:
+        word: The word.
+        similar: Names of robots and files that can be loaded.
+        absent: Names of published robots that must be downloaded first; the first is proposed.
+        fixed: True if the proposed robot has a fixed base, and the running command refuses it.
+    """
+    similar = tuple(similar)
+    name = next(iter(absent), "")
     problem = diagnose(
         "known-robots",
-        alike=list(dict.fromkeys(similar)),
+        alike=similar,
+        absent=name,
+        download=make_download_command(name) if name else "",
+        fixed=fixed,
+        movable=bool(name) and not fixed,
+        unknown=not (similar or name),
         variants=VARIANTS,
         missing=list_source_problems(),
     )
     return VariantError("name", word, problem)
+
+
+_MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf")
+"""Suffixes of model files that a word without a suffix may mean."""
+
+
+def _find_models_of_name(word: str) -> list[Path]:
+    """Return the existing model files whose name is a word with a suffix: ``go2.urdf``."""
+    paths = (Path(f"{word}{suffix}") for suffix in _MODEL_SUFFIXES)
+    return [path for path in paths if is_input(path)]

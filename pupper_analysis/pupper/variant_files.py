@@ -44,7 +44,10 @@ from pupper_analysis.models.places import make_input_error, one_line
 from pupper_analysis.models.published import is_published_name, is_uri
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.pupper.named_robots import make_unknown_robot_error
+from pupper_analysis.pupper.named_robots import (
+    make_known_robots_error,
+    make_unknown_robot_error,
+)
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -273,8 +276,7 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
     if all(map(_names_file, files)):
         path = Path(word)
         if path.name == word and path.stem in VARIANTS and not is_input(path):
-            problem = diagnose("known-robots", alike=[path.stem], variants=VARIANTS, missing=[])
-            raise VariantError("name", word, problem)
+            raise make_known_robots_error(word, (path.stem,), ())
         return files
     with suppress(OSError, ValueError):  # for example a name that is too long
         if Path(word).is_dir():

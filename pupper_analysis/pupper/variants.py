@@ -8,6 +8,7 @@ torso mass. ``VARIANTS`` lists the variants with names. The files are derived by
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -165,9 +166,24 @@ def get_variant_spec(variant: str | VariantSpec) -> VariantSpec:
 def list_similar_variants(word: str) -> list[str]:
     """Return the names of up to three variants that are similar to a word, the most similar first.
 
-    Upper and lower case are not distinguished.
+    A name that differs only in a number, as v3 from v4, is the most similar. Upper and lower case
+    are not distinguished.
     """
-    return difflib.get_close_matches(word.lower(), VARIANTS)
+    name = word.lower()
+    renumbered = [
+        variant
+        for variant in VARIANTS
+        if _NUMBER.search(name) and _NUMBER.sub("0", variant) == _NUMBER.sub("0", name)
+    ]
+    similar = difflib.get_close_matches(name, VARIANTS)
+    return list(dict.fromkeys((*renumbered, *similar)))[:_MAX_SIMILAR_VARIANTS]
+
+
+_NUMBER = re.compile(r"\d+")
+"""Pattern of a number in the name of a variant."""
+
+_MAX_SIMILAR_VARIANTS = 3
+"""Largest number of names that `list_similar_variants` returns. Chosen, not tuned."""
 
 
 @cache

@@ -15,12 +15,16 @@ from tests.support.repository import ROOT
 
 
 def run_refused(*arguments: str, folder: Path | None = None) -> str:
-    """Run a command that must fail with one line on standard error, and return the line."""
+    """Run a command that must fail with one line on standard error, and return the line.
+
+    The next command may follow in a second line, which is not returned.
+    """
     result = answer(*arguments, folder=folder)
     assert result.returncode == 2
     assert result.stdout == ""
-    assert result.stderr.count("\n") == 1
-    return result.stderr
+    error, *steps = result.stderr.splitlines(keepends=True)
+    assert [step.partition(":")[0] for step in steps] in ([], ["  next"])
+    return error
 
 
 @pytest.mark.parametrize(
@@ -125,10 +129,9 @@ def test_a_result_is_not_written_under_another_formats_suffix(
             ("fit", "v3", "--plan", "3", "--prior", "mass", "20%"),
             "write one word without blanks: --prior mass=20%",
         ),
-        (
-            ("audit", "GO2"),
-            "'GO2' is not valid; did you mean unitree_go2?",
-        ),
+        (("stand", "v4"), "'v4' is not valid; did you mean v3?"),
+        (("crosscheck", "V4-heavy"), "did you mean v3-heavy or"),
+        (("stand", "robot"), "'robot' is not valid; did you mean robot.urdf?"),
         (("diff", "v3", "nobody"), "'nobody' is not valid; known: original, long-leg"),
         (("stand", "package://"), "incomplete path: write package://NAME/FILE"),
         (("stand", "package:///x"), "incomplete path: write package://NAME/FILE"),
@@ -154,6 +157,49 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     (tmp_path / "go2.sdf").write_text('<sdf version="1.9"><model name="go2"/></sdf>')
     (tmp_path / "go2.srdf").write_text('<robot name="go2"><group name="legs"/></robot>')
     assert suggested in run_refused(*arguments, folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("typed", "proposed", "fixed"),
+    [
+        ("stand go2", "stand unitree_go2", False),
+        ("audit GO2 --fix", "audit unitree_go2 --fix", False),
+        ("best payload go2 --kp 50", "best payload unitree_go2 --kp 50", False),
+        ("stand unitree_go2", "stand unitree_go2", False),
+        ("diff v3 mujoco_menagerie/unitree_go2", "diff v3 mujoco_menagerie/unitree_go2", False),
+        ("contract go2", "contract unitree_go2", False),
+        ("crosscheck go2", "audit unitree_go2", False),
+        ("sync unitree_go2", "audit unitree_go2", False),
+        ("hold panda", "hold franka_emika_panda", False),
+        ("stand panda --payload 1kg", "hold franka_emika_panda --payload 1kg", True),
+        ("gains ur5e", "gains universal_robots_ur5e --contact base=weld", True),
+        ("workspace franka_emika_panda", "hold franka_emika_panda", True),
+        ("hold unitree_z2", "hold unitree_z1", False),
+        ("stand unitree_z2", "hold unitree_z1", True),
+        ("stand unitree_g02", "stand unitree_go2", False),
+    ],
+)
+def test_error_of_a_robot_that_is_not_downloaded_proposes_download_and_command(
+    typed: str, proposed: str, fixed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the command line of the package, and the categories of its robots.
+
+    The error proposed a name, and the same command with this name was refused.
+    """
+    pytest.importorskip("mujoco_menagerie")
+    monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
+    result = answer(*typed.split(), folder=tmp_path)
+    error, step = result.stderr.splitlines()
+    [robot] = (word for word in proposed.split() if "_" in word and word != "base=weld")
+    robot = robot.removeprefix("mujoco_menagerie/")
+    assert result.returncode == 2
+    assert len(error) <= MAX_ANSWER_WIDTH
+    assert "not downloaded" in error
+    assert ("its base is fixed" in error) == fixed
+    assert step == (
+        f"  next: python -m mujoco_menagerie prefetch {robot} && pupper-analysis {proposed}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -357,6 +403,10 @@ def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
         ),
         ("stand v3 --kp hose=9", ""),
         ("fit v3", "fit v3 --plan 12 -o plan.csv"),
+        ("stand v4 --height 12cm", "stand v3 --height 12cm"),
+        ("diff v3 v3-heav", "diff v3 v3-heavy"),
+        ("contract v3-longleg", "contract v3-long-leg"),
+        ("stand nobody", ""),
     ],
 )
 def test_refusal_of_a_mistake_is_followed_by_the_corrected_command(

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.next_step import complete_pair_command
+from pupper_analysis.cli.next_step import make_second_model_error
 from pupper_analysis.cli.shared import (
     change_tolerances,
     frame_option,
@@ -87,19 +87,15 @@ def command(
     1 the files differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.pupper.named_robots import is_variant, refuse_unknown_variant
+    from pupper_analysis.pupper.named_robots import is_variant
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import make_comparison_annotations
 
-    context = click.get_current_context()
     if mjcf is not None:
         urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     elif not is_variant(urdf):
-        refuse_unknown_variant(str(urdf))
-        error = command.make_missing_error(context, "mjcf")
-        error.add_note(complete_pair_command(urdf))
-        raise error
+        raise make_second_model_error(command, urdf)
     names = parse_name_map(pairs)
     folders = shared.parse_packages(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()

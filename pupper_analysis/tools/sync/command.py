@@ -8,7 +8,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
-from pupper_analysis.cli.next_step import complete_pair_command
+from pupper_analysis.cli.next_step import make_second_model_error
 from pupper_analysis.cli.shared import (
     change_tolerances,
     fine_tolerance_option,
@@ -92,7 +92,6 @@ def command(
     from pupper_analysis.pupper.named_robots import (
         find_model_pair,
         is_variant,
-        refuse_unknown_variant,
     )
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.sync.document import sync_document
@@ -105,10 +104,7 @@ def command(
     if mjcf is not None:
         urdf, mjcf = shared.sort_model_paths(urdf, mjcf)
     elif not is_variant(urdf):
-        refuse_unknown_variant(str(urdf))
-        error = command.make_missing_error(click.get_current_context(), "mjcf")
-        error.add_note(complete_pair_command(urdf))
-        raise error
+        raise make_second_model_error(command, urdf)
     names, folders = parse_name_map(pairs), shared.parse_packages(packages)
     tolerances = change_tolerances(Tolerances(), changes)
 
