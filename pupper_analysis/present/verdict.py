@@ -689,6 +689,7 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
         count=len(servos.made),
         names=[servo.joint for servo in few],
         kinds=dict.fromkeys(Term(servo.instead_of.value) for servo in few),
+        hangs=servos.hangs,
         **_describe_gains(servos),
     )
     return Clause(good, message)

@@ -43,6 +43,8 @@ class ServosUsed:
         made: Added servos whose stiffness is in use; empty if the caller passed ``kp``.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
         damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
+        hangs: Whether the base is fixed for this result only, so that the gains of added servos
+            differ from those of a stand.
     """
 
     source: ServoSource
@@ -51,6 +53,7 @@ class ServosUsed:
     made: tuple[MadeServo, ...] = ()
     stiffness_unit: str = HINGE_UNITS.stiffness
     damping_unit: str = HINGE_UNITS.damping
+    hangs: bool = False
 
     def _field_units(self) -> dict[str, str]:
         """Return the units of the gains."""

@@ -29,6 +29,7 @@ from pupper_analysis.present.documents.loads import (
     utilisation_cell,
 )
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.servos import split_servo_statement
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.present.verdict import (
     judged_document,
@@ -55,7 +56,7 @@ tuned."""
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Create the report of a held posture: torques, worst postures, tool limits and verdict."""
     limits = hold.limits.tolist()
-    return judged_document(
+    document = judged_document(
         text("held-posture"),
         hold,
         (
@@ -76,6 +77,10 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
         notes=robot_notes(robot),
         next_step=_select_next_step(hold),
     )
+    if not _states_added_servos(hold):
+        return document
+    kept, moved = split_servo_statement(document.findings, hold.verdict.servos)
+    return replace(document, findings=kept, details=(*document.details, *moved))
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:
@@ -158,21 +163,25 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
     if math.isnan(payload) and (efforts := _format_example_efforts(hold)):
         tool, example = doc.Name(hold.tool.name), ", ".join(efforts[1::2])
         return text("worst-payload-unknown", tool=tool, example=example)
-    servos = hold.verdict.servos
-    added = hold.hangs and bool(servos.made)
     return text(
         "worst-posture-payload",
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
         joint=doc.Name(joint) if joint else "",
         hangs=hold.hangs,
-        added=added,
+        # The line with this mass has no room for the statement on the added servos.
+        added=_states_added_servos(hold),
         alone="" if math.isnan(alone) else _format_payload_limit(alone),
         refuted=_is_payload_refuted(hold),
         fails=_is_payload_refuted(hold) and math.isnan(alone),
         loaded=hold.carried > 0,
         unstated=math.isnan(payload),
     )
+
+
+def _states_added_servos(hold: Hold) -> bool:
+    """Return True if the payload limit contains the words that servos were added."""
+    return bool(hold.verdict.servos.made) and not math.isnan(hold.mass_by_commands_alone)
 
 
 def _format_payload_limit(payload: float) -> doc.Words:

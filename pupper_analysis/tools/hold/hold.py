@@ -570,6 +570,8 @@ def hold_posture(
     if (violated := _describe_violated_keyframe(robot, posture)) is not None:
         judged = replace(fed, passed=False, failures=(violated, *fed.failures))
     verdict = judge_simulation(robot, stand, judged, alone, statics=statics, kp=kp, kd=kd)
+    hangs = _hangs(robot)
+    verdict = replace(verdict, servos=replace(verdict.servos, hangs=hangs))
     mass_alone = math.nan
     if commands_alone and verdict.passed and verdict.commands_alone is Ending.HOLDS:
         mass_alone = _find_mass_by_commands_alone(
@@ -577,7 +579,7 @@ def hold_posture(
         )
     return Hold(
         name=robot.name,
-        hangs=_hangs(robot),
+        hangs=hangs,
         posture=posture,
         units=list_position_units(robot),
         tool=point,

@@ -13,12 +13,14 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.units import round_down
 from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text, get_english
 from pupper_analysis.present.html.plots import draw_svg
+from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.hold.document import (
     describe_hardest_motor,
     force_plots,
     hold_document,
 )
 from tests.support.arm import arm
+from tests.support.stubs import judge_added_servos
 
 
 def test_torques_positions_and_sags_are_each_in_their_column() -> None:
@@ -219,6 +221,28 @@ def test_payload_that_the_simulation_refutes_is_not_proposed() -> None:
         assert line.short.startswith("motors hold ")
         assert (", simulation FAILS" in line.short) is bool(np.isnan(alone))
         assert "FAILS" in line.en
+
+
+@pytest.mark.parametrize(
+    ("alone", "hangs"), [(np.nan, True), (0.5, True), (0.5, False), (np.nan, False)]
+)
+def test_added_servos_are_stated_once_with_the_reason_of_their_gains(
+    alone: float, *, hangs: bool
+) -> None:
+    """Go2: "(added kp); added kp 16.2 to 75 N m/rad", beside "kp 290 N m/rad" of its stand."""
+    held = replace(
+        pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9}),
+        mass_by_commands_alone=alone,
+        hangs=hangs,
+    )
+    servos = replace(judge_added_servos(Question.STANDS).servos, hangs=hangs)
+    document = hold_document(replace(held, verdict=replace(held.verdict, servos=servos)))
+    lines = [line.short or line.en for line in document.findings if isinstance(line, Text)]
+    second = "; ".join(lines[1:])
+    assert second.count("added kp") == 1
+    assert ("added kp 320 N m/rad for the fixed base" in second) == (hangs and math.isnan(alone))
+    detail = any("a stand gets other gains" in get_english(line) for line in document.details)
+    assert detail == (hangs and not math.isnan(alone))
 
 
 def test_tool_position_and_sags_are_each_in_their_row() -> None:
