@@ -94,8 +94,11 @@ def command(
     assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:
         error = ConfigurationError("--motor", diagnose("motor-not-given"))
-        words = _propose_limit((_EXAMPLE_MOTOR,), limit)
-        error.add_note(complete_motor_command((_EXAMPLE_MOTOR,), robot, words))
+        if (motor := _propose_motor(robot)) is None:
+            error.add_note(_propose_list())
+        else:
+            words = _propose_limit((motor,), limit)
+            error.add_note(complete_motor_command((motor,), robot, words))
         raise error
     with shared.show_progress("computing the heat of the motors"):
         result = study_heat(
@@ -116,8 +119,46 @@ def command(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-_EXAMPLE_MOTOR = "steadywin-gim4305-10"
-"""Motor in the proposed command if no motor is given. Chosen, not tuned."""
+_MAX_TORQUE_RATIO = 2.0
+"""Largest ratio [1] between the largest torque of a proposed motor and the robot's median effort
+limit, or its inverse. Chosen, not tuned."""
+
+
+def _propose_motor(robot: Robot) -> str | None:
+    """Return the known motor whose largest torque is nearest to the robot's median effort limit.
+
+    None if no hinge has a known limit, or no motor is within `_MAX_TORQUE_RATIO` of the median.
+    """
+    import math
+    import statistics
+
+    from pupper_analysis.models.motors.reading import find_motor, list_motors
+    from pupper_analysis.robot.joints import is_slide
+
+    limits = [
+        limit
+        for joint, limit in zip(robot.joint_names, robot.effort_limits.tolist(), strict=True)
+        if 0 < limit < math.inf and not is_slide(robot, joint)
+    ]
+    if not limits:
+        return None
+    median = statistics.median(limits)
+    distances = {
+        name: abs(math.log(largest[0] / median))
+        for name in list_motors()
+        if (largest := find_motor(name).largest_torque) is not None and largest[0] > 0
+    }
+    nearest = min(distances, key=distances.__getitem__)
+    return nearest if distances[nearest] <= math.log(_MAX_TORQUE_RATIO) else None
+
+
+def _propose_list() -> str:
+    """Return the command that lists the known motors."""
+    from pupper_analysis.cli.next_step import complete_command
+    from pupper_analysis.present.document import NextStep
+
+    step = NextStep("heat", ("--list-motors",), robot_typed=False, omitted=("*",))
+    return complete_command(step)
 
 
 def _propose_limit(texts: tuple[str, ...], limit: float | None) -> tuple[str, ...]:
@@ -136,7 +177,7 @@ def _propose_limit(texts: tuple[str, ...], limit: float | None) -> tuple[str, ..
 def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> None:
     """Raise an error if the base is fixed, with the command that welds the base if possible.
 
-    The command contains a motor for the hinges of the robot; an example if no motor is given.
+    The command contains a motor for the hinges of the robot (`_propose_motor`), if none is given.
     """
     from pupper_analysis.robot.plane import Weld
     from pupper_analysis.robot.touching import with_contacts
@@ -144,7 +185,11 @@ def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> N
     def propose_weld() -> str:
         """Return the command that welds the base; raise an error if it cannot be welded."""
         with_contacts(robot, {"base": Weld()})
-        texts = motors or (() if _read_file_motors(robot) else (_EXAMPLE_MOTOR,))
+        texts = motors
+        if not motors and not _read_file_motors(robot):
+            if (motor := _propose_motor(robot)) is None:
+                return _propose_list()
+            texts = (motor,)
         words = ("--contact", "base=weld", *_propose_limit(texts, limit))
         return complete_motor_command(texts, robot, words)
 

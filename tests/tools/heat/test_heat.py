@@ -468,6 +468,25 @@ def test_proposed_motors_of_an_arm_drive_its_hinges_only(
     assert {motor["joint"] for motor in json.loads(found.read_text())["motors"]} == hinges
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effort", "step"),
+    [
+        ("3", "heat v3 --effort 3 --motor steadywin-gim4305-10"),
+        ("23.7", "heat v3 --effort 23.7 --motor unitree-go-m8010-6 --limit 100"),
+        ("33", "heat v3 --effort 33 --motor unitree-a1 --limit 100"),
+        ("1000", "heat --list-motors"),
+    ],
+)
+def test_proposed_motor_is_as_strong_as_the_motors_of_the_robot(
+    effort: str, step: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """References: peak torques of the data sheets: 3, 23.7 and 33.5 N m (v3, Go2, A1)."""
+    status, _, err = run_command(capfd, "heat", "v3", "--effort", effort)
+    assert status == 2
+    assert err.splitlines()[-1] == f"  next: pupper-analysis {step}"
+
+
 @pytest.mark.parametrize("typed", ["", "--contact base=weld"])
 def test_base_that_cannot_be_welded_names_the_command_that_needs_no_weld(
     typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
