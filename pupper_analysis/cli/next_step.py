@@ -51,6 +51,10 @@ without ``--payload``.
 """
 
 
+SEARCHED_OPTIONS = ("--height", "--roll", "--pitch", "--yaw", "--offset", "--move", "--com")
+"""Options of the coordinates that a search for a stance determines: their typed values are the
+initial stance, and do not apply to the stance that was found."""
+
 _COMMANDS_WITHOUT_WELDS = ("best", "path", "push")
 """Commands that refuse a stance with a weld or a grip (``--contact NAME=weld``)."""
 
@@ -147,7 +151,7 @@ def _replace_step_of_weld(
 
 
 def _add_stance_file(step: NextStep, values: Mapping[str, Any], running: click.Command) -> NextStep:
-    """Add the file of ``--json`` to a next step for the stance that the running command has found.
+    """Add the stance that the running command has found to a next step.
 
     Args:
         step: Next step, without the options of the stance.
@@ -156,11 +160,16 @@ def _add_stance_file(step: NextStep, values: Mapping[str, Any], running: click.C
 
     Returns:
         Next step with ``--stance FILE``, without the typed options of the stance. If ``--json``
-        was not typed, or for standard output, the running command with ``--json FILE``.
+        was not typed, or for standard output, next step with the options of the stance
+        (``NextStep.stance_words``), which replace the typed values; without such options, the
+        running command with ``--json FILE``.
     """
     from pupper_analysis.cli.stance_fields import OPTION_FIELDS
 
     file = values.get("json_path")
+    if (not file or file == "-") and step.stance_words:
+        replaced = (*step.omitted, *SEARCHED_OPTIONS, "--stance")
+        return replace(step, words=(*step.words, *step.stance_words), omitted=replaced)
     if not file or file == "-":
         words = ("--json", f"{running.name}.json")
         return NextStep(str(running.name), (*_list_arguments(running, values), *words))

@@ -529,7 +529,9 @@ class NextStep:
             ``"--command"``; ``"*"`` for all options.
         stance_found: True if the next command is for a stance that the running command has found.
             The next command reads the stance from the file of ``--json``. If the user typed no
-            such file, the running command with ``--json`` is proposed first.
+            such file, the next command gets ``stance_words``; without these, the running command
+            with ``--json`` is proposed first.
+        stance_words: Options of the stance that was found, such as ``("--height", "10cm")``.
     """
 
     command: str
@@ -537,6 +539,7 @@ class NextStep:
     robot_typed: bool = True
     omitted: tuple[str, ...] = ()
     stance_found: bool = False
+    stance_words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

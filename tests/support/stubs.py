@@ -425,6 +425,8 @@ def best() -> Any:
         value=0.0456,
         nominal_value=0.0345,
         evaluations=321,
+        improved=True,
+        active_bounds=(),
         coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
     )
     return Stub(best=found, stance=stance(), passed=False)

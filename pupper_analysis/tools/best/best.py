@@ -28,8 +28,14 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval, get_coordinate_unit
 from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
+from pupper_analysis.tools.best.space import ActiveBound
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.tools.stand.stance import Stance, simulate_stance, study_stance
+
+MIN_IMPROVEMENT = 1e-3
+"""Improvement of the objective by a search, relative to the initial value, above which the best
+stance counts as better than the initial stance. Smaller improvements are not visible in the printed
+numbers. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,8 @@ class BestStance(Tabular):
             (``FR x``, ``FR y`` ...) of each free foot from the position in the initial task.
         bounds: Lower and upper bound of each coordinate in the search [m or rad].
         evaluations: Number of stances that the search tried.
+        active_bounds: Bounds of the search that the best stance reaches. They limit the objective,
+            unless it is the payload, whose limit ``payload`` states.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("objective", "value", "nominal_value")
@@ -62,6 +70,15 @@ class BestStance(Tabular):
     coordinates: dict[str, float] = field(metadata={"unit": "m or rad"})
     bounds: dict[str, Interval]
     evaluations: int
+    active_bounds: tuple[ActiveBound, ...] = ()
+
+    @property
+    def improved(self) -> bool:
+        """True if ``value`` is better than ``nominal_value`` by more than `MIN_IMPROVEMENT`."""
+        gain = self.value - self.nominal_value
+        if self.objective is Objective.UTILISATION:
+            gain = -gain
+        return gain > MIN_IMPROVEMENT * abs(self.nominal_value)
 
     @property
     def unit(self) -> str:
@@ -214,6 +231,7 @@ def _make_best_stance(
             for name, low, high in zip(space.names, space.low, space.high, strict=True)
         },
         evaluations=search.evaluations,
+        active_bounds=tuple(space.list_active_bounds(best.coordinates, best.stand)),
     )
 
 

@@ -7,18 +7,23 @@ coordinates, by the objective before and after the search and, for a payload, by
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator
 from dataclasses import replace
 
+from pupper_analysis.cli.stance_fields import format_as_options
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import get_english, join_words, text
 from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, make_document
 from pupper_analysis.present.documents.standing import quantity_columns, task_text
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import ANGLE_COORDINATES
 from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.best.space import BoundKind
 from pupper_analysis.tools.stand.document import describe_height, stance_document
 
 _OBJECTIVE_TEXTS = {
@@ -40,9 +45,10 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     coordinates = stance.with_short_form(_shorten_coordinates(study.best))
     more = [line for line in stand_document.details if get_english(line) != coordinates.en]
     step = _make_next_step(study, stand_document.next_step)
-    messages: tuple[doc.Words, ...] = (_make_search_line(study), coordinates, *others)
+    limit = tuple(_describe_active_bounds(study.best))
+    messages: tuple[doc.Words, ...] = (_make_search_line(study), *limit, coordinates, *others)
     if not study.passed:  # the reason of the failure is line 2
-        messages = (_make_search_line(study), *others, coordinates)
+        messages = (_make_search_line(study), *others, *limit, coordinates)
     details: tuple[doc.Words, ...] = (load, *more)
     failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
@@ -78,11 +84,81 @@ def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.Ne
         if "--kp" in gains:
             return doc.NextStep("best", (study.best.objective.value, *gains))
         return doc.NextStep("stand")
+    if not study.best.improved:  # `stand` has no more to state about the initial stance
+        return doc.NextStep("push" if study.best.objective is Objective.PAYLOAD else "payload")
     if task.feet:  # no option specifies places of feet in the world
         return doc.NextStep("workspace")
     # `stand` proposes `gains` if kd exceeds the bound of an explicit PD controller.
     has_other_gains = stand_step is not None and stand_step.command == "gains"
-    return doc.NextStep("gains" if has_other_gains else "path", stance_found=True)
+    command = "gains" if has_other_gains else "path"
+    return doc.NextStep(command, stance_found=True, stance_words=_format_stance_options(task))
+
+
+def _format_stance_options(task: StandTask) -> tuple[str, ...]:
+    """Format the coordinates of a stance as options of a command, rounded to 0.1 mm and 0.1 deg.
+
+    Options whose numbers are all zero are omitted. The reserves of the search (`JOINT_RESERVE`,
+    `EDGE_RESERVE_RATIO`) exceed the rounding.
+    """
+    roll, pitch, yaw = (
+        math.radians(round(math.degrees(angle), 1)) for angle in (task.roll, task.pitch, task.yaw)
+    )
+    rounded = replace(
+        task,
+        height=None if task.height is None else round(task.height, 4),
+        offset=None if task.offset is None else _round_point(task.offset),
+        foot_offsets={foot: _round_point(offset) for foot, offset in task.foot_offsets.items()},
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+    )
+    options = format_as_options(rounded, _OPTION_ATTRIBUTES)
+    return tuple(
+        word
+        for option, values in options.items()
+        for value in values
+        if re.search("[1-9]", value.rpartition("=")[2])
+        for word in (option, value)
+    )
+
+
+_OPTION_ATTRIBUTES = ("height", "offset", *ANGLE_COORDINATES, "foot_offsets")
+"""Attributes of the stand task that the search determines, in the order of their options."""
+
+
+def _round_point(point: Point) -> Point:
+    """Round x and y [m] to 0.1 mm."""
+    return round(point[0], 4) + 0.0, round(point[1], 4) + 0.0
+
+
+def _describe_active_bounds(best: BestStance) -> Iterator[doc.Text]:
+    """Yield the text of the bounds that limit the objective of a best stance, if any.
+
+    A payload states its own limit, and a utilisation its motor. A CoM margin that no bound limits
+    is a local optimum.
+    """
+    if best.objective is Objective.PAYLOAD or not best.improved:
+        return
+    by_kind = {
+        kind: [bound for bound in best.active_bounds if bound.kind is kind] for kind in BoundKind
+    }
+    parts: list[doc.Words] = []
+    if joints := by_kind[BoundKind.JOINT]:
+        names = [bound.name for bound in joints]
+        parts.append(text("best-limited-by-joints", joint=doc.Name(names[0]), more=len(names) - 1))
+    if legs := by_kind[BoundKind.LEG]:
+        names = [bound.name for bound in legs]
+        parts.append(text("best-limited-by-legs", leg=doc.Name(names[0]), more=len(names) - 1))
+    if steps := by_kind[BoundKind.STEP]:
+        largest = 1e3 * max(abs(bound.value) for bound in steps)
+        parts.append(text("best-limited-by-steps", largest=f"{largest:.0f}"))
+    if base := by_kind[BoundKind.BASE]:
+        names_of_base = join_words([text(bound.name) for bound in base])
+        parts.append(text("best-limited-by-base", coordinates=names_of_base))
+    if parts:
+        yield text("best-limited", bounds=join_words(parts))
+    elif best.objective is Objective.MARGIN:
+        yield text("best-not-limited")
 
 
 def _make_search_line(study: BestStudy) -> doc.Text:
@@ -91,6 +167,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
     A motor utilisation has the name and the torque of the most loaded motor.
     """
     best = study.best
+    improved = best.improved
     if best.objective is Objective.UTILISATION:
         statics = study.stance.statics
         peak = find_hardest_motor(statics)
@@ -105,6 +182,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
             joint=doc.Name(statics.joint_names[peak]),
             nominal=f"{100 * best.nominal_value:.4g}",
             rounded_nominal=f"{100 * best.nominal_value:.3g}",
+            improved=improved,
         )
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
@@ -116,6 +194,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
         value=values[0],
         compensated=best.payload is not None and best.payload.depends_on_feedforward,
         nominal=values[1],
+        improved=improved,
     )
 
 

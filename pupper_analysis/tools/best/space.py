@@ -9,7 +9,9 @@ computes the slacks of a stand (`StanceSlack`). All slacks of an allowed stand a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import mujoco
 import numpy as np
@@ -90,6 +92,41 @@ MAX_MOTION_RESIDUAL = 1e-9
 or m/rad]. If the error is larger, `StanceSpace.compute_motions` returns None. The equations of
 soles are redundant, and are satisfied to rounding. Chosen, not tuned.
 """
+
+
+ACTIVE_BOUND_RTOL = 1e-3
+"""Distance of a coordinate from a bound of the search, relative to the interval between the bounds,
+below which the bound is active. Also the slack of a leg's smallest singular value, relative to the
+initial value, and of a joint [rad, m], below which the constraint is active. Chosen, not tuned."""
+
+
+class BoundKind(StrEnum):
+    """Kind of a bound that a best stance reaches."""
+
+    JOINT = "joint"
+    """Limit of a joint, with the reserve `JOINT_RESERVE`."""
+    LEG = "leg"
+    """Smallest singular value of a leg's Jacobian (`MIN_SINGULAR_VALUE_RATIO`)."""
+    STEP = "step"
+    """Largest displacement of a foot along x or y."""
+    BASE = "base"
+    """Bound of a coordinate of the base."""
+
+
+@dataclass(frozen=True)
+class ActiveBound:
+    """Bound that a best stance reaches.
+
+    Attributes:
+        kind: Kind of the bound.
+        name: Joint, contact point, or coordinate.
+        value: Bound of the coordinate, or distance of a joint from its limit [m or rad]; smallest
+            singular value of a leg relative to that of the initial stand [1].
+    """
+
+    kind: BoundKind
+    name: str
+    value: float = field(metadata={"unit": "varies"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,6 +366,28 @@ class StanceSpace:
             edges=edges - task.com_margin - self.edge_reserve,
             penetration=-added,
         )
+
+    def list_active_bounds(self, coordinates: Array, stand: Stand) -> Iterator[ActiveBound]:
+        """Yield the bounds of the search that a stance reaches: joints, legs, feet, then the base.
+
+        The CoM margin, and contacts of parts, are no such bounds. ``coordinates`` has the shape
+        (n,) [m or rad].
+        """
+        slack = self.compute_slack(stand)
+        joints = 2 * self.robot.joint_names
+        distances = self._compute_limit_distances(stand)
+        for index in np.flatnonzero(slack.joints < ACTIVE_BOUND_RTOL):
+            yield ActiveBound(BoundKind.JOINT, joints[index], float(distances[index]))
+        for index in np.flatnonzero(slack.singular_values < ACTIVE_BOUND_RTOL):
+            ratio = MIN_SINGULAR_VALUE_RATIO + float(slack.singular_values[index])
+            yield ActiveBound(BoundKind.LEG, self.robot.contact_points[index], ratio)
+        tolerance = ACTIVE_BOUND_RTOL * (self.high - self.low)
+        at_bound = np.minimum(coordinates - self.low, self.high - coordinates) < tolerance
+        steps = np.flatnonzero(at_bound & (self.high > self.low))
+        count = len(BASE_COORDINATES)
+        for index in sorted(steps.tolist(), key=lambda place: place < count):
+            kind = BoundKind.BASE if index < count else BoundKind.STEP
+            yield ActiveBound(kind, self.names[index], float(coordinates[index]))
 
     def _compute_edge_distances(self, stand: Stand) -> Array:
         """Compute the signed distances of the CoM from the edges of the support polygon, (m,)."""

@@ -561,8 +561,8 @@ def _select_next_step(
         )
     if isinstance(result, StandPlan):
         if output is None and result.more_stands_help:
-            words = ("--plan", str(2 * len(result.stands)), "-o", "plan.csv")
-            return NextStep("fit", words, omitted=("--plan",))
+            count = str(2 * len(result.stands))
+            return NextStep("fit", ("--plan", count, "-o", "plan.csv"), omitted=("--plan",))
         if output is None:
             return NextStep("fit", ("-o", "plan.csv"))
         words = ("--record", str(output), "--bridge", "typed", "-o", "stands.csv")

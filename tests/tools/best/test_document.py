@@ -7,6 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import pupper_analysis as pa
+from pupper_analysis.cli import find_command
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_task
 from pupper_analysis.present.document import (
     MAX_ANSWER_WIDTH,
     Document,
@@ -16,14 +19,17 @@ from pupper_analysis.present.document import (
     get_english,
 )
 from pupper_analysis.tools.best.document import (
+    _describe_active_bounds,
     _make_next_step,
     _make_search_line,
     _shorten_coordinates,
     best_document,
 )
 from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.best.space import ActiveBound, BoundKind
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support.stubs import best, make_payload_result, stance
+from tests.support.variants import load
 
 
 def list_titles(document: Document) -> set[str]:
@@ -64,8 +70,66 @@ def test_next_step_is_gains_if_stand_proposes_gains() -> None:
     """`stand` proposes gains if kd exceeds the bound of an explicit PD controller."""
     study = best()
     study.passed = True
+    words = ("--height", "104.4mm", "--roll", "1deg")
     for step, command in ((NextStep("payload"), "path"), (NextStep("gains"), "gains")):
-        assert _make_next_step(study, step) == NextStep(command, stance_found=True)
+        expected = NextStep(command, stance_found=True, stance_words=words)
+        assert _make_next_step(study, step) == expected
+
+
+@pytest.mark.parametrize(
+    ("objective", "line"),
+    [("utilisation", "initial stance"), ("margin", "CoM margin 45.6 mm"), ("payload", "payload")],
+)
+def test_search_without_improvement_states_this_and_proposes_no_repetition(
+    objective: str, line: str
+) -> None:
+    """`best payload` of Go2 printed 68.08 kg twice, and proposed the search again."""
+    study = best()
+    study.passed, study.best.improved = True, False
+    study.best.objective = Objective(objective)
+    if objective == "payload":
+        study.best.payload = make_payload_result()
+    short = _make_search_line(study).short
+    assert line in short
+    assert short.endswith("no improvement over the initial stance")
+    assert not list(_describe_active_bounds(study.best))
+    step = _make_next_step(study, NextStep("payload"))
+    assert step == NextStep("push" if objective == "payload" else "payload")
+
+
+def test_margin_names_the_bounds_that_limit_it() -> None:
+    """The largest step of a foot is 48 mm; without an active bound the optimum is local."""
+    study = best()
+    (free,) = _describe_active_bounds(study.best)
+    assert free.en == "limit: no bound of the search (a local optimum)"
+    study.best.active_bounds = (
+        ActiveBound(BoundKind.JOINT, "knee", 0.02),
+        ActiveBound(BoundKind.STEP, "FR x", -0.048),
+        ActiveBound(BoundKind.STEP, "FL x", 0.047),
+    )
+    (line,) = _describe_active_bounds(study.best)
+    steps = "feet at the search bound (steps of 48 mm)"
+    assert line.short == f"limit: knee at the joint limit, {steps}"
+    assert line in best_document(study).findings
+
+
+@pytest.mark.slow
+def test_bounds_that_limit_a_margin_are_reached_and_its_options_hold_the_stance() -> None:
+    """The largest step is `MAX_OUTWARD_STEP` of the largest height; `solve_stand` is the reference.
+
+    The rounded options of the next command give the margin that `best` prints.
+    """
+    robot = load("v3")
+    found = pa.best_stance(robot, "margin")
+    steps = [bound for bound in found.active_bounds if bound.kind is BoundKind.STEP]
+    assert len(steps) >= 4
+    for bound in steps:
+        interval = found.bounds[bound.name]
+        assert abs(bound.value) == pytest.approx(max(-interval.low, interval.high), rel=1e-3)
+    step = _make_next_step(SimpleNamespace(best=found, passed=True), None)
+    params = find_command("stand").make_context("stand", ["v3", *step.stance_words]).params
+    stand = pa.solve_stand(robot, make_task({name: params[name] for name in OPTION_FIELDS}))
+    assert stand.com_margin == pytest.approx(found.value, abs=3e-4)  # rounded to 0.1 mm
 
 
 def test_next_step_of_a_failing_stance_searches_again_with_the_gains_that_hold() -> None:
