@@ -124,9 +124,7 @@ def command(
         models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
         results = [audit(model) for model in models]
     if style in ("text", "markdown"):
-        step = _select_next_step(results, fix=fix, confirmed=confirmed)
-        shown = [("", result) for result in results]
-        shared.show_results(shown, style, everything=everything, next_step=step)
+        _show_audits(results, style, fix=fix, confirmed=confirmed, everything=everything)
     else:
         _print_annotations(results, style, file.name)
     is_text = style == "text"
@@ -151,6 +149,30 @@ def _print_rules() -> None:
     from pupper_analysis.tools.audit.document import make_rules_table
 
     print_table(make_console(), make_rules_table())
+
+
+def _show_audits(
+    audits: Sequence[Audit], style: str, *, fix: bool, confirmed: bool, everything: bool
+) -> None:
+    """Print the reports of audits; with ``fix``, the answer is about the patch that follows.
+
+    Markdown contains the report without the patch.
+    """
+    from dataclasses import replace
+
+    from pupper_analysis.present.documents.registry import build_report
+    from pupper_analysis.tools.audit.document import describe_patch
+    from pupper_analysis.tools.audit.fix import apply_repairs
+
+    step = _select_next_step(audits, fix=fix, confirmed=confirmed)
+    report = build_report([("", audit) for audit in audits])
+    if fix and style == "text":
+        (audit,), (document,) = audits, report.documents
+        count = apply_repairs(audits)[1]
+        report = replace(report, documents=(describe_patch(document, audit, count),))
+        if step is None and (proposed := document.next_step) is not None:
+            step = replace(proposed, omitted=(*proposed.omitted, "--fix", "--yes"))
+    shared.show_report(report, style, everything=everything, next_step=step)
 
 
 def _select_next_step(audits: Sequence[Audit], *, fix: bool, confirmed: bool) -> NextStep | None:
@@ -207,7 +229,8 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
         patch = make_patch(document.path, document.data, document.render())
         click.echo(patch, nl=False, err=not prints_patch)
     if not documents:
-        shared.print_text(text("no-unique-repair"), err=True)
+        if not prints_patch:  # otherwise the answer states this
+            shared.print_text(text("no-unique-repair"), err=True)
         return 0
     may_ask = sys.stdin.isatty()
     question = translate(text("write-repairs", count=count), current_language())

@@ -30,7 +30,11 @@ from pupper_analysis.tools.audit.audit import (
     Rule,
     Severity,
 )
-from pupper_analysis.tools.audit.fix import list_unique_repairs, locate_repair
+from pupper_analysis.tools.audit.fix import (
+    list_computed_repairs,
+    list_unique_repairs,
+    locate_repair,
+)
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 MAX_SHOWN_GROUPS = 40
@@ -55,12 +59,38 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         warned=audit.passed and suspect,
         findings=(
             join_words([describe_counts(audit.counts), rules]),
-            *_describe_worst_finding(audit),
+            *describe_first_finding(audit.findings),
             *_describe_fix(audit),
         ),
         next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
     )
+
+
+def describe_patch(document: doc.Document, audit: Audit, count: int) -> doc.Document:
+    """Replace the answer of an audit's report by that of `audit --fix`.
+
+    The answer states the number of repairs in the patch, the findings that the patch repairs, and
+    the most severe of the other findings. `audit` prints the findings, so they become details.
+
+    Args:
+        document: Report of the audit.
+        audit: Audit of the unchanged file.
+        count: Number of repairs in the patch.
+    """
+    computed = list_computed_repairs([audit])
+    written = [repair for repair in list_unique_repairs([audit]) if repair not in computed]
+    others = [
+        one for one in audit.findings if len(one.repairs) != 1 or one.repairs[0] not in written
+    ]
+    repaired = len(audit.findings) - len(others)
+    answer = text("audit-patch", count=count, repaired=repaired, findings=len(audit.findings))
+    blocks = (
+        replace(block, detail=True) if isinstance(block, doc.FileFinding) else block
+        for block in document.blocks
+    )
+    remaining = describe_first_finding(others, "audit-remaining" if count else "audit-first")
+    return replace(document, findings=(answer, *remaining), blocks=tuple(blocks))
 
 
 def describe_counts(counts: Mapping[str, int]) -> doc.Words:
@@ -71,13 +101,15 @@ def describe_counts(counts: Mapping[str, int]) -> doc.Words:
     )
 
 
-def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
-    """Yield the text of the most severe finding, if there is a finding."""
-    if audit.findings:
-        first, *others = audit.findings
+def describe_first_finding(
+    findings: Sequence[Finding], key: str = "audit-first"
+) -> Iterable[doc.Words]:
+    """Yield the text ``key`` of the first, most severe finding, if there is a finding."""
+    if findings:
+        first, *others = findings
         alike = [one for one in others if (one.rule, one.message) == (first.rule, first.message)]
         finding = summarise_finding(first.rule, first.diagnostic, len(alike))
-        yield text("audit-first", finding=finding)
+        yield text(key, finding=finding)
 
 
 def _describe_fix(audit: Audit) -> Iterable[doc.Words]:

@@ -220,3 +220,33 @@ def test_answer_names_the_exchanged_limits_first_and_counts_equal_findings(tmp_p
     lines = answer("audit", "a.urdf", "--fix", "--yes", folder=tmp_path).stdout.splitlines()
     assert lines[2] == "  next: pupper-analysis audit a.urdf"
     assert 'lower="-0.5" upper="1"' in path.read_text()
+
+
+def test_fix_answers_with_the_patch_and_does_not_repeat_the_findings(tmp_path: Path) -> None:
+    """`--fix` printed the answer of `audit` again. Both lower limits exceed the upper limits.
+
+    The patch exchanges them; the effort of 1e9 N m has no repair.
+    """
+    path = write_legs(tmp_path / "a.urdf", {"left": (0.5, 0.1), "right": (0.5, 0.1)})
+    text = path.read_text().replace('lower="-1" upper="1"', 'lower="1" upper="-0.5"')
+    path.write_text(text.replace('effort="9"', 'effort="1e9"'))
+    audit = audit_model(path)
+    exchanged = [one for one in audit.findings if len(one.repairs) == 1]
+    others = [one for one in audit.findings if len(one.repairs) != 1]
+    assert len(exchanged) == 2
+    assert others
+    printed = answer("audit", "a.urdf", "--fix", folder=tmp_path).stdout
+    lines = printed.splitlines()
+    total = len(audit.findings)
+    assert lines[0] == f"ERRORS a.urdf: patch of 2 repairs for 2 of {total} findings"
+    assert lines[1].startswith("  not in the patch: ")
+    assert others[0].diagnostic.subject is not None
+    assert others[0].diagnostic.subject.name in lines[1]
+    assert "--- a/a.urdf\n+++ b/a.urdf\n@@ " in printed
+    assert "\n1. error" not in printed  # `audit` prints the findings
+    assert "\n1. error" in answer("audit", "a.urdf", "--fix", "-v", folder=tmp_path).stdout
+    answer("audit", "a.urdf", "--fix", "--yes", folder=tmp_path)
+    lines = answer("audit", "a.urdf", "--fix", folder=tmp_path).stdout.splitlines()
+    assert f"no patch: none of {len(others)} finding" in lines[0]
+    assert lines[1].startswith("  first: ")
+    assert "--fix" not in lines[2]

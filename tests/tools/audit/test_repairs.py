@@ -237,7 +237,7 @@ def test_repair_of_a_value_from_a_xacro_macro_is_named_and_not_written(tmp_path:
         f'{begin}<link name="arod"/><xacro:macro name="part" params="name">{macro}</xacro:macro>'
         f'<xacro:part name="a"/>{joint}</robot>'
     )
-    shown = CliRunner().invoke(group, ["audit", str(path), "--xacro", "--fix"])
+    shown = CliRunner().invoke(group, ["audit", str(path), "--xacro", "--fix", "-v"])
     change = "joint 'a': limit lower -90 -> -1.5708, upper 1 -> 0.0174533 (degrees to radians)"
     assert f"repair: {change}; --fix does not write it" in shown.stdout
     assert f"repair: {change}; --fix does not write it" in shown.stderr
