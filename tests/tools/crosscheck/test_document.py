@@ -183,7 +183,7 @@ def test_second_line_has_the_largest_deviation_of_the_table(tmp_path: Path) -> N
     worst = max(effects, key=effects.__getitem__)
     assert (
         read_findings(comparison)[1]
-        == f"2 differences; dynamics differ by ≤{100 * effects[worst]:.2g} % ({worst})"
+        == f"2 differences; {worst} of URDF and MJCF ≤{100 * effects[worst]:.2g} % apart"
     )
 
 
