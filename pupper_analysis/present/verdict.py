@@ -483,9 +483,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     if verdict.servos.made:
         yield make_servo_clause(verdict.servos, good=fed is Ending.HOLDS)
     elif verdict.servos.source is ServoSource.GIVEN and fed is not Ending.UNTRIED:
-        yield Clause(
-            fed is Ending.HOLDS, diagnose("servos-given", **_describe_gains(verdict.servos))
-        )
+        yield make_given_clause(verdict.servos, good=fed is Ending.HOLDS)
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
         collapses = alone is Ending.COLLAPSES
         failures = join_ground_touches(verdict.failures_alone)
@@ -693,6 +691,14 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
         **_describe_gains(servos),
     )
     return Clause(good, message)
+
+
+def make_given_clause(servos: ServosUsed, *, good: bool) -> Clause:
+    """Create the statement that a result depends on servo gains that the caller passed.
+
+    ``good`` is True if the statement supports the stand.
+    """
+    return Clause(good, diagnose("servos-given", **_describe_gains(servos)))
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:

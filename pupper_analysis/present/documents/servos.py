@@ -15,19 +15,23 @@ from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import round_down, round_up
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import get_english, text
-from pupper_analysis.present.verdict import make_servo_clause
-from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.present.verdict import make_given_clause, make_servo_clause
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.servo_bounds import ServoBounds
 
 
 def split_servo_statement(
     lines: Iterable[doc.Words], servos: ServosUsed
 ) -> tuple[tuple[doc.Words, ...], tuple[doc.Words, ...]]:
-    """Divide lines into those without and those with the statement on added servos."""
-    if not servos.made:
-        return tuple(lines), ()
-    repeated = doc.diagnostic_text(make_servo_clause(servos, good=True).message).en
+    """Divide lines into those without and those with the statement on added or given servos."""
     listed = tuple(lines)
+    if servos.made:
+        clause = make_servo_clause(servos, good=True)
+    elif servos.source is ServoSource.GIVEN:
+        clause = make_given_clause(servos, good=True)
+    else:
+        return listed, ()
+    repeated = doc.diagnostic_text(clause.message).en
     kept = tuple(line for line in listed if get_english(line) != repeated)
     return kept, tuple(line for line in listed if get_english(line) == repeated)
 

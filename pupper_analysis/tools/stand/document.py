@@ -174,13 +174,19 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
     )
-    return _omit_repeated_servos(document, stance) if stance.servos is not None else document
+    return _omit_repeated_servos(document, stance)
 
 
 def _omit_repeated_servos(document: doc.Document, stance: Stance) -> doc.Document:
-    """Move the statement on added servos to the details if the servo gains are stated as well."""
+    """Move the statement on added or given servos to the details if the gains are stated as well.
+
+    The statement on given servos is kept if the gains of the joints differ: the other statement
+    then contains factors, not gains.
+    """
     servos = stance.verdict.servos
-    if not any(describe_servo_gains(stance.servos, servos)):
+    if stance.servos is None or not any(describe_servo_gains(stance.servos, servos)):
+        return document
+    if not servos.made and not stance.servos.uniform:
         return document
     kept, moved = split_servo_statement(document.findings, servos)
     return replace(document, findings=kept, details=(*document.details, *moved))

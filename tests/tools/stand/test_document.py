@@ -171,7 +171,24 @@ def test_reason_for_a_qualified_verdict_precedes_the_servos() -> None:
     )
     second, third = document.findings[1:3]
     assert get_english(second).startswith("FAILS without gravity compensation: ")
-    assert get_english(third).startswith("on servos as given ")
+    assert get_english(third).startswith("servos: kp ")
+
+
+def test_given_servos_are_stated_once() -> None:
+    """`stand v3 --kd 0.141` printed kp twice, and therefore neither height nor height loss."""
+    given = replace(SERVOS, source=ServoSource.GIVEN)
+    verdict = judge_stance(run(0.0, passed=True), run(0.0, passed=True), given)
+    for uniform in (True, False):
+        bounds = replace(SERVO_BOUNDS, least_kp_factor=0.5)
+        if not uniform:
+            first = bounds.classes[0]
+            bounds = replace(bounds, classes=(first, replace(first, kp=2 * first.kp)))
+        assert bounds.uniform is uniform
+        document = stance_document(stance(verdict=verdict, passed=True, servos=bounds))
+        kept = [get_english(line) for line in document.findings]
+        details = [get_english(line) for line in document.details]
+        assert any(line.startswith("on servos as given ") for line in kept) is not uniform
+        assert any(line.startswith("on servos as given ") for line in details) is uniform
 
 
 def test_too_soft_servos_are_stated_with_stiffness_and_factor() -> None:
