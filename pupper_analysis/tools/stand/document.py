@@ -130,6 +130,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     positions = get_display_scales(stance.units) * stance.joint_positions
     soft = tuple(_describe_soft_servos(stance))
     gains = tuple(describe_servo_gains(stance.servos, stance.verdict.servos))
+    requested = tuple(_describe_minimum_stiffness(stance))
     # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
     # The cause of a failure of the unmodified file is part of the verdict.
@@ -160,6 +161,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         (
             *_describe_peak_torque(stance),
             *_warn_of_model_mismatch(run),
+            *(requested if qualified else ()),
             *(gains if qualified else ()),
             *(soft if skipped else ()),
             *_list_findings(stance),
@@ -167,7 +169,11 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         ),
         limits=()
         if qualified
-        else (*(soft if stance.passed else ()), *(() if gains and gains[0] in causes else gains)),
+        else (
+            *requested,
+            *(soft if stance.passed else ()),
+            *(() if gains and gains[0] in causes else gains),
+        ),
         causes=causes,
         details=tuple(_list_details(stance)),
         word=verdict_word(stance.verdict, ideal_servos=exceeds_explicit_damping(stance.servos)),
@@ -236,9 +242,24 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("gains")
     if step.command == "payload" and exceeds_explicit_damping(stance.servos):
         step = NextStep("gains")
-    if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
-        step = NextStep("gains")
+    if "--minimum-stiffness" in step.words:
+        known = stance.minimum_stiffness is not None
+        step = NextStep("gains") if known else _stiffen_to_holding_gains(stance) or step
     return step
+
+
+def _stiffen_to_holding_gains(stance: Stance) -> NextStep | None:
+    """Return the command ``stand`` with gains with which the robot stands without feed-forward.
+
+    None if no such gains are known, or if the gains of the joints differ.
+    """
+    servos = stance.servos
+    if servos is None or not servos.uniform or servos.holding_kp_factor is None:
+        return None
+    factor, gains = servos.holding_kp_factor, servos.classes[0]
+    kd = round_up(max(1.0, factor) * gains.kd, 3)
+    least = format_bound(factor * gains.kp, gains.kp, upper=False)
+    return NextStep("stand", ("--kp", least, "--kd", f"{kd:g}"))
 
 
 def _is_damping_excessive(stance: Stance) -> bool:
@@ -391,8 +412,8 @@ def _get_stiffness_unit(stance: Stance) -> str:
     return find_common_units(stance.statics.torque_units).stiffness
 
 
-def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the findings of a stance, such as minimum kp, sag, and largest force of each hand."""
+def _describe_minimum_stiffness(stance: Stance) -> Iterable[doc.Words]:
+    """Yield the minimum kp, or the reason why no kp suffices; nothing if not requested."""
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
@@ -401,6 +422,10 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
         )
     if stance.no_stiffness is not None:
         yield doc.diagnostic_text(stance.no_stiffness).with_mark("warn")
+
+
+def _list_findings(stance: Stance) -> Iterable[doc.Words]:
+    """Yield the findings of a stance, such as the sag and the largest force of each hand."""
     settled = stance.settled
     if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))

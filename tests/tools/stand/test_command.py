@@ -107,6 +107,30 @@ def test_options_of_gains_margins_and_scales_are_applied(
 
 
 @pytest.mark.slow
+def test_soft_servos_lead_to_gains_with_which_the_robot_stands(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Reference: a new run with the proposed gains.
+
+    `--minimum-stiffness` was proposed; its answer did not contain the minimum stiffness.
+    """
+    _, soft, _ = run_command(capfd, "stand", "v3", "--kp", "2")
+    (proposed,) = re.findall(r"next: pupper-analysis (.*)", soft)
+    assert shlex.split(proposed)[:3] == ["stand", "v3", "--kp"]
+    status, out, _ = run_command(capfd, *shlex.split(proposed))
+    assert (status, out.split()[0]) == (0, "HOLDS")
+    assert out.splitlines()[0].startswith("HOLDS v3: ")
+
+    _, requested, _ = run_command(capfd, "stand", "v3", "--kp", "2", "--minimum-stiffness")
+    second, third = requested.splitlines()[1:3]
+    robot = load_variant("v3")
+    least = minimum_stiffness(robot, solve_stand(robot, StandTask()))
+    (printed_kp,) = re.findall(r"^  minimum stiffness .*: ([\d.]+) N m/rad \(statics\)", second)
+    assert float(printed_kp) == pytest.approx(least, rel=0.02)
+    assert "gains v3 --kp 2" in third
+
+
+@pytest.mark.slow
 def test_minimum_stiffness_is_found_if_the_given_one_is_too_low() -> None:
     robot = load_variant("v3-long-leg")
     result = study_stance(robot, StandTask(), kp=4.0, kd=0.1, stiffness=True)
