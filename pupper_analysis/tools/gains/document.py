@@ -190,8 +190,7 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
         added=bool(study.servos.made),
         kp=_format_range((one.kp for one in study.classes), study.units.stiffness),
         kd=_format_range((one.kd for one in study.classes), study.units.damping),
-        stiffnesses=_format_range((one.kp for one in study.classes), between=".."),
-        dampings=_format_range((one.kd for one in study.classes), between=".."),
+        stiffnesses=_format_range((one.kp for one in study.classes), study.units.stiffness, ".."),
         least="" if least_factor is None else format_bound(least_factor, 1.0, upper=False),
         most="" if largest is None else format_bound(largest, 1.0, upper=True),
     )

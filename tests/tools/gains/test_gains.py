@@ -504,13 +504,12 @@ def test_dataframe_contains_the_curve_and_the_table_counts_missing_values() -> N
 
 def test_verdict_on_gains_that_differ_states_values_and_factors() -> None:
     """Reference: the smallest and the largest positive gain, and the factors of the bounds."""
-    stiffnesses, dampings = (
-        _format_range(gains, between="..") for gains in ((53.3, 2660.0, 0.0), (1.03, 65.8))
-    )
-    values = {"added": True, "kp": "", "kd": "", "stiffnesses": stiffnesses, "dampings": dampings}
+    stiffnesses = _format_range((53.3, 2660.0, 0.0), "N m/rad", between="..")
+    values = {"added": True, "kp": "", "kd": "", "stiffnesses": stiffnesses}
     line = text("gains-factors", **values, least="0.0135", most="1.93").short
-    expected = "added kp 53.3..2660 (times 0.0135 or more), kd 1.03..65.8 (times 1.93 or less)"
-    assert line == expected
+    assert line == (
+        "added kp 53.3..2660 N m/rad can be scaled by 0.0135 or more, kd by 1.93 or less"
+    )
     assert len(f"STABLE panda.urdf: {line}") <= MAX_ANSWER_WIDTH
 
 
