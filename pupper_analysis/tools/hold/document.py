@@ -39,7 +39,7 @@ from pupper_analysis.present.verdict import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
-from pupper_analysis.tools.hold.hold import VERIFIED_FRACTION, Hold, ReachLoad
+from pupper_analysis.tools.hold.hold import Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
 _NUM_DISTANCE_BINS = 12
@@ -90,9 +90,9 @@ def _select_verdict_word(hold: Hold) -> doc.Text | None:
     return None
 
 
-def _is_payload_refuted(hold: Hold) -> bool:
-    """Return True if a simulation with a payload fails although the motors hold the payload."""
-    return hold.payload_trial is not None and not hold.payload_trial.passed
+def _is_payload_simulated(hold: Hold) -> bool:
+    """Return True if the simulation of the posture limits the payload, and no motor."""
+    return hold.simulated_mass < hold.payload.worst_posture_mass
 
 
 def _find_overloaded_motors(hold: Hold) -> list[str]:
@@ -109,9 +109,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
     If no payload is left to propose, it is `gains`.
     """
-    payload = hold.payload.worst_posture_mass
-    if _is_payload_refuted(hold):
-        payload = hold.mass_by_commands_alone
+    payload = hold.largest_mass
     overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))
     if not hold.passed:
         step = doc.NextStep("audit")
@@ -158,7 +156,8 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
 
 def _describe_worst_payload(hold: Hold) -> doc.Words:
     """Return the text of the payload limit over all postures found."""
-    payload, joint = hold.payload.worst_posture_mass, hold.payload.worst_posture_joint
+    payload, joint = hold.largest_mass, hold.payload.worst_posture_joint
+    simulated = _is_payload_simulated(hold)
     alone = hold.mass_by_commands_alone
     if math.isnan(payload) and (efforts := _format_example_efforts(hold)):
         tool, example = doc.Name(hold.tool.name), ", ".join(efforts[1::2])
@@ -168,12 +167,13 @@ def _describe_worst_payload(hold: Hold) -> doc.Words:
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
         joint=doc.Name(joint) if joint else "",
-        hangs=hold.hangs,
+        worst=not (hold.hangs or simulated),
+        motor=bool(joint) and not simulated,
         # The line with this mass has no room for the statement on the added servos.
         added=_states_added_servos(hold),
         alone="" if math.isnan(alone) else _format_payload_limit(alone),
-        refuted=_is_payload_refuted(hold),
-        fails=_is_payload_refuted(hold) and math.isnan(alone),
+        simulated=simulated,
+        motors=_format_payload_limit(hold.payload.worst_posture_mass),
         loaded=hold.carried > 0,
         unstated=math.isnan(payload),
     )
@@ -199,7 +199,7 @@ def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
         "posture-and-load",
         posture=posture,
         load=loads[0] if loads else "",
-        payload=_format_payload_limit(hold.payload.mass),
+        payload=_format_payload_limit(hold.largest_mass_here),
         loaded=hold.carried > 0,
         tool=doc.Name(hold.tool.name),
     )
@@ -328,12 +328,12 @@ def _make_limit_cell(value: float) -> doc.Cell:
 
 def _describe_payload_simulation(hold: Hold) -> Iterator[doc.Text]:
     """Yield the result of the simulation with a payload; nothing if none was simulated."""
-    trial, fraction = hold.payload_trial, format_number(VERIFIED_FRACTION, ".0%")
+    trial, mass = hold.payload_trial, _format_payload_limit(hold.simulated_mass)
     if trial is not None and trial.passed:
-        yield text("payload-trial-holds", share=fraction)
+        yield text("payload-trial-holds", mass=mass)
     elif trial is not None:
         reasons = join_words(map(doc.diagnostic_text, trial.failures), "semicolon")
-        yield text("payload-trial-fails", share=fraction, why=reasons)
+        yield text("payload-trial-fails", mass=mass, why=reasons)
 
 
 def _make_force_table(hold: Hold) -> doc.Table:

@@ -37,6 +37,7 @@ from pupper_analysis.robot.robot import Robot, get_loaded_robot
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, resolve_servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.alone import find_mass_by_commands_alone
+from pupper_analysis.simulation.mass_bound import find_holding_mass
 from pupper_analysis.simulation.verdict import Ending, Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.posture import (
@@ -404,11 +405,6 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
 COMMANDS_ALONE_RTOL = 0.02
 """Relative tolerance [1] of ``Hold.mass_by_commands_alone``. Chosen, not tuned."""
 
-VERIFIED_FRACTION = 0.95
-"""Fraction [1] of the payload limit (of motors or servos, the smaller) with which the posture is
-simulated. At the limit itself, rounding would determine the verdict. Chosen, not tuned.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Hold(Tabular):
@@ -441,17 +437,21 @@ class Hold(Tabular):
         worst: Worst posture of each motor, with ``carried``.
         carried: Payload at the tool that all results include (kg).
         payload: Largest masses at the tool in addition to ``carried``.
-        payload_trial: Simulation, with feed-forward, of the posture with ``carried`` and
-            ``VERIFIED_FRACTION`` of the smaller of ``payload.mass`` and ``payload.servos``; None if
+        payload_trial: Simulation, with feed-forward, of the posture with ``carried`` and the
+            smaller of ``payload.mass`` and ``payload.servos``. If it fails: the simulation of the
+            smallest simulated mass that fails. None if the posture fails without further mass, or
             this mass is 0, infinite or NaN.
+        simulated_mass: Largest mass at the tool, in addition to ``carried``, with which the posture
+            holds in simulation with feed-forward [kg]: the smaller of ``payload.mass`` and
+            ``payload.servos`` if it holds, otherwise bisected to 1 %. NaN if ``payload_trial`` is
+            None.
         force: External forces on the tool that the motors withstand.
         reach: Motor utilisation over the reach of the tool.
         weak_motors: Motors named by the caller that cannot exert the torques of ``statics``, not
             even for a short time.
         mass_by_commands_alone: Largest mass at the tool, in addition to ``carried``, with which the
             posture holds in simulation with position commands alone, without feed-forward torques
-            [kg]. Not a number if not computed, or if the posture holds with
-            ``payload.worst_posture_mass``.
+            [kg]. Not a number if not computed, or if the posture holds with ``largest_mass``.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "weak_motors")
@@ -481,6 +481,7 @@ class Hold(Tabular):
     carried: float = field(metadata={"unit": "kg"})
     payload: ToolPayload
     payload_trial: StandVerification | None
+    simulated_mass: float = field(metadata={"unit": "kg"})
     force: ToolForce
     reach: ReachLoad
     weak_motors: tuple[Diagnostic, ...] = ()
@@ -490,6 +491,24 @@ class Hold(Tabular):
     def passed(self) -> bool:
         """Whether the verdict of the simulation of the posture passes."""
         return self.verdict.passed
+
+    @property
+    def largest_mass(self) -> float:
+        """Largest further mass at the tool that the motors hold in all postures found [kg].
+
+        At most the mass that this posture holds in simulation. NaN if unknown.
+        """
+        worst, simulated = self.payload.worst_posture_mass, self.simulated_mass
+        return simulated if simulated < worst else worst
+
+    @property
+    def largest_mass_here(self) -> float:
+        """Largest further mass at the tool that motors and servos hold in this posture [kg].
+
+        This mass holds in simulation, if simulated. NaN if unknown.
+        """
+        simulated = self.simulated_mass
+        return self.payload.mass if math.isnan(simulated) else simulated
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {column: values} of a table with a row per joint.
@@ -563,9 +582,9 @@ def hold_posture(
         simulated = point.position(Configuration(robot, end_qpos)) - point.position(config)
     worst = worst_postures(robot, posture, point)
     limits = tool_payload(robot, posture, point, worst, kp=kp)
-    max_mass, trial = min(limits.mass, limits.servos), None
-    if 0 < max_mass < math.inf:
-        trial = _verify_payload(robot, posture, point, VERIFIED_FRACTION * max_mass, kp, kd)
+    max_mass, trial, simulated_mass = min(limits.mass, limits.servos), None, math.nan
+    if fed.passed and 0 < max_mass < math.inf:
+        simulated_mass, trial = _simulate_payload(robot, posture, point, max_mass, kp, kd)
     judged = fed
     if (violated := _describe_violated_keyframe(robot, posture)) is not None:
         judged = replace(fed, passed=False, failures=(violated, *fed.failures))
@@ -574,9 +593,9 @@ def hold_posture(
     verdict = replace(verdict, servos=replace(verdict.servos, hangs=hangs))
     mass_alone = math.nan
     if commands_alone and verdict.passed and verdict.commands_alone is Ending.HOLDS:
-        mass_alone = _find_mass_by_commands_alone(
-            robot, posture, point, limits.worst_posture_mass, kp, kd
-        )
+        worst_mass = limits.worst_posture_mass
+        largest = simulated_mass if simulated_mass < worst_mass else worst_mass
+        mass_alone = _find_mass_by_commands_alone(robot, posture, point, largest, kp, kd)
     return Hold(
         name=robot.name,
         hangs=hangs,
@@ -598,24 +617,41 @@ def hold_posture(
         payload=limits,
         carried=float(payload),
         payload_trial=trial,
+        simulated_mass=simulated_mass,
         force=tool_force(robot, posture, point),
         reach=reach_load(robot, posture, point),
         mass_by_commands_alone=mass_alone,
     )
 
 
-def _verify_payload(
+def _simulate_payload(
     robot: Robot,
     posture: Posture,
     tool: Tool,
-    mass: float,
+    limit: float,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
-) -> StandVerification:
-    """Simulate a posture, with feed-forward, with a further mass [kg] at a tool."""
-    loaded = with_payload(robot, mass, tool)
-    stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
-    return verify_stand(loaded, stand, kp=kp, kd=kd)
+) -> tuple[float, StandVerification]:
+    """Find the largest further mass [kg], at most ``limit``, that a posture holds in simulation.
+
+    Returns:
+        Mass [kg]; simulation of ``limit`` if it holds, otherwise of the smallest simulated mass
+        that fails.
+    """
+
+    def simulate(mass: float) -> StandVerification:
+        """Simulate the posture, with feed-forward, with a further mass [kg]."""
+        loaded = with_payload(robot, mass, tool)
+        stand = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
+        return verify_stand(loaded, stand, kp=kp, kd=kd, until_failure=True)
+
+    def find_failing_run(mass: float) -> StandVerification | None:
+        """Return the simulation with a mass [kg] if it fails, otherwise None."""
+        run = simulate(mass)
+        return None if run.passed else run
+
+    run = simulate(limit)
+    return (limit, run) if run.passed else find_holding_mass(find_failing_run, limit, run)
 
 
 def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | None:

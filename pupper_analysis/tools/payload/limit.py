@@ -25,7 +25,6 @@ from pupper_analysis.base.errors import (
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
@@ -38,6 +37,11 @@ from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.simulation.alone import find_mass_by_commands_alone
+from pupper_analysis.simulation.mass_bound import (
+    TOLERANCE_FACTOR,
+    bisect_mass,
+    find_holding_mass,
+)
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
@@ -128,11 +132,6 @@ servos. If the robot holds this payload in simulation, the bound was too small a
 Chosen, not tuned.
 """
 
-SIMULATION_RTOL = 0.01
-"""Relative tolerance [1] of the bisection in which nudged simulations decide whether a payload
-holds. Chosen, not tuned.
-"""
-
 LONG_SIMULATION_RTOL = 0.02
 """Relative tolerance [1] of the bisections in which simulations of 12 s decide: the payload bound
 of the servos, and the payload with position commands alone. Also the relative distance from the
@@ -142,14 +141,8 @@ tuned.
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
 """Relative tolerances [1] of the bisected payload bounds of stance, motors and servos.
-``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it. `SIMULATION_RTOL`
+``BINDING_BOUND_RTOL`` applies to the smallest bound, unless the servos set it. ``SIMULATION_RTOL``
 and `LONG_SIMULATION_RTOL` apply to bounds that simulations correct. Chosen, not tuned.
-"""
-
-_FIRST_DISTANCE_RATIO = 0.9
-"""Distance of the first reduced payload from the static limit, relative to ``SIMULATION_RTOL``
-times the limit. Each further distance is doubled. Bisected intervals then meet the tolerance
-without a further simulation if the result is more than this fraction of the limit.
 """
 
 _FIRST_MASS_RATIO = 0.25
@@ -622,26 +615,13 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
         return Bound(math.inf, Failure.NOTHING, ())
     if not _holds_in_simulation(simulations.judge(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
-    # The bound is usually just below the static limit: search downwards with doubled steps.
-    high, distance = static_limit, _FIRST_DISTANCE_RATIO * SIMULATION_RTOL * static_limit
-    low = high - distance
-    while low > 0.0 and (low_cause := find_cause(low)) is not None:
-        high, cause, distance = low, low_cause, 2 * distance
-        low = high - distance
-    return _bisect_mass(
-        find_cause, max(low, 0.0), high, cause, SIMULATION_RTOL**2 * static_limit, SIMULATION_RTOL
-    )
+    mass, failure = find_holding_mass(find_cause, static_limit, cause)
+    return Bound(mass, *failure)
 
 
 def _holds_in_simulation(verdict: Verdict) -> bool:
     """Return True if a stance holds in simulation, even if torque limits or masses are unknown."""
     return verdict.passed or verdict.code in UNKNOWN_CODES
-
-
-_TOLERANCE_FACTOR = 1 + 1e-9
-"""Factor on the tolerance of a bisection [1], so that a bracket whose width equals the tolerance up
-to rounding is not bisected again. Chosen far above rounding errors.
-"""
 
 
 def _bisect_mass(
@@ -658,17 +638,8 @@ def _bisect_mass(
     the larger tolerance applies.
     """
     assert cause is not None
-    rounds = 0
-    while high - low > _TOLERANCE_FACTOR * (resolution := max(tolerance, relative_tolerance * low)):
-        rounds_left = math.ceil(math.log2((high - low) / resolution))
-        report_progress("payload", rounds, rounds + rounds_left)
-        rounds += 1
-        middle = (low + high) / 2
-        if (middle_cause := find_cause(middle)) is None:
-            low = middle
-        else:
-            high, cause = middle, middle_cause
-    return Bound(low, *cause)
+    mass, failure = bisect_mass(find_cause, low, high, cause, tolerance, relative_tolerance)
+    return Bound(mass, *failure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -751,7 +722,7 @@ class _PayloadSearch:
         # The bound of the servos depends on a chosen doubling time, and is not refined.
         if 0 < mass_limit < math.inf and binding != "servos":
             # At least the upper end of the bracket, whose width is relative to the failing mass.
-            width = BOUND_RTOL * max(2 * mass_limit, _TOLERANCE_FACTOR * high[binding][0])
+            width = BOUND_RTOL * max(2 * mass_limit, TOLERANCE_FACTOR * high[binding][0])
             above = min(high[binding][0], mass_limit + width)
             cause = find_causes[binding](above) or (
                 bounds[binding].failure,

@@ -21,6 +21,7 @@ from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, find_place, find_tool, with_payload
 from pupper_analysis.simulation import trial
+from pupper_analysis.simulation.mass_bound import SIMULATION_RTOL
 from pupper_analysis.simulation.rollout import STATE_SPEC, make_stand_start
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.trial import Failure
@@ -30,7 +31,6 @@ from pupper_analysis.tools.payload import limit as payload
 from pupper_analysis.tools.payload import metrics
 from pupper_analysis.tools.payload.limit import (
     LONG_SIMULATION_RTOL,
-    SIMULATION_RTOL,
     Bound,
     payload_limit,
     simulate_payload,
