@@ -634,6 +634,15 @@ def widen_format(form: str, values: Iterable[float]) -> str:
     return f"{start}.{min(max(int(decimals), needed), _MAX_DECIMALS)}f"
 
 
+def fits_first_line(word: Text, name: str, message: Text) -> bool:
+    """Return True if the short form of a verdict with a robot's name and a message fits on a line.
+
+    Otherwise the end of the message would be cut (`MAX_ANSWER_WIDTH`).
+    """
+    line = f"{word.short or word.en} {name}: {message.short or message.en}"
+    return len(line) <= MAX_ANSWER_WIDTH
+
+
 def format_widened(value: float, form: str) -> str:
     """Format a number by a fixed-point format with at least two significant digits.
 

@@ -35,6 +35,7 @@ from pupper_analysis.present.verdict import (
     judged_document,
     qualify_verdict_word,
     select_step_after_failure,
+    verdict_word,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -138,7 +139,19 @@ def _format_example_efforts(hold: Hold) -> tuple[str, ...]:
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
-    """Return the text of the largest motor utilisation, or torque, over all postures found."""
+    """Return the text of the largest motor utilisation, or torque, over all postures found.
+
+    If the first line has no room, the utilisation is stated without "of the limit".
+    """
+    word = _select_verdict_word(hold) or verdict_word(hold.verdict)
+    line = _format_worst_posture(hold, full=True)
+    if doc.fits_first_line(word, hold.name, line):
+        return line
+    return _format_worst_posture(hold, full=False)
+
+
+def _format_worst_posture(hold: Hold, *, full: bool) -> doc.Text:
+    """Return the text of `_describe_worst_posture`; in short with "of the limit" if ``full``."""
     worst = hold.worst
     known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)
     torques = np.abs(worst.joint_torques)
@@ -149,6 +162,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
         torque=format_number(float(torques[index]), ".3g"),
         unit=hold.statics.torque_units[index],
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
+        full=full and math.isfinite(share),
         joint=doc.Name(worst.joint_names[index]),
         hangs=hold.hangs,
     )

@@ -168,10 +168,9 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)
     line = _format_payload(limit)
-    head = _select_verdict_word(limit)
-    if len(f"{head.short or head.en} {limit.name}: {line.short}") > doc.MAX_ANSWER_WIDTH:
-        return _format_payload(limit, brief=True)
-    return line
+    if doc.fits_first_line(_select_verdict_word(limit), limit.name, line):
+        return line
+    return _format_payload(limit, brief=True)
 
 
 def _format_payload(limit: PayloadLimit, *, brief: bool = False) -> doc.Text:

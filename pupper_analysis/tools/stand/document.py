@@ -154,12 +154,15 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         height_plot([run], float(stand.qpos[2])),
         *([] if stance.servos is None else [_make_servo_table(stance.servos)]),
     ]
+    word_of_verdict = verdict_word(
+        stance.verdict, ideal_servos=exceeds_explicit_damping(stance.servos)
+    )
     document = judged_document(
         text("stance"),
         stance,
         blocks,
         (
-            *_describe_peak_torque(stance),
+            _describe_peak_torque(stance, word_of_verdict),
             *_warn_of_model_mismatch(run),
             *(requested if qualified else ()),
             *(gains if qualified else ()),
@@ -176,7 +179,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         ),
         causes=causes,
         details=tuple(_list_details(stance)),
-        word=verdict_word(stance.verdict, ideal_servos=exceeds_explicit_damping(stance.servos)),
+        word=word_of_verdict,
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
     )
@@ -306,9 +309,16 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
         )
 
 
-def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """Yield a text with the most loaded motor, the torque or force, and the utilisation [%]."""
-    yield text("load-of-motors", **format_peak_load(stance.statics))
+def _describe_peak_torque(stance: Stance, word_of_verdict: doc.Text) -> doc.Text:
+    """Return a text with the most loaded motor, the torque or force, and the utilisation [%].
+
+    If the first line has no room, the utilisation is stated without "of the limit".
+    """
+    values = format_peak_load(stance.statics)
+    line = text("load-of-motors", **values, full=bool(values["share"]))
+    if doc.fits_first_line(word_of_verdict, stance.name, line):
+        return line
+    return text("load-of-motors", **values, full=False)
 
 
 def _describe_base(stance: Stance) -> Iterable[doc.Words]:
