@@ -30,7 +30,7 @@ from pupper_analysis.base.arrays import (
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.efforts import find_max_effort
+from pupper_analysis.models.efforts import find_effort
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.places import one_line
@@ -348,7 +348,7 @@ def _add_pinocchio_joint(
         joint_model(np.array(model.jnt_axis[index])),
         placement * at_zero,
         name,
-        np.array([find_max_effort(model, index)]),
+        np.array([find_effort(model, index)]),
         np.array([np.inf]),
         np.array([lower]),
         np.array([upper]),

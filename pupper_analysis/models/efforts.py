@@ -150,6 +150,15 @@ class EffortStatement(Result):
         """Largest torque or force that the range permits in both directions [N m, N], or 0."""
         return max(0.0, min(-self.lower, self.upper))
 
+    @property
+    def effort(self) -> float:
+        """Effort of a URDF that permits no torque beyond this range [N m, N].
+
+        The effort is the smaller end of the range. If the range permits torque in one direction
+        only, the effort is the larger end.
+        """
+        return self.symmetric_torque or self.max_torque
+
 
 @dataclass(frozen=True)
 class EffortLimit(Result):
@@ -400,14 +409,17 @@ def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement
     return [EffortStatement.of("MJCF", "joint", name, "actuatorfrcrange", range_)]
 
 
-def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
-    """Return the largest torque or force [N m, N] that the actuators of a joint can exert.
+def find_effort(model: mujoco.MjModel, joint: int) -> float:
+    """Return the effort limit of a joint of an MJCF, as a URDF states it [N m, N].
 
     Returns:
-        Larger magnitude of the limits in both directions; infinite if one direction has no limit.
+        Smaller magnitude of the limits in both directions, which bounds motor utilisations. If the
+        actuators exert torque in one direction only, the larger magnitude. Infinite without limit.
     """
     limit = resolve_effort_limit(model, joint)
-    return max(abs(limit.lower), abs(limit.upper))
+    if not math.isfinite(limit.lower) or not math.isfinite(limit.upper):
+        return math.inf
+    return limit.symmetric_torque or max(abs(limit.lower), abs(limit.upper))
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:

@@ -29,7 +29,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.conversion import inertia_of_body, split_joint_placement
-from pupper_analysis.models.efforts import find_max_effort
+from pupper_analysis.models.efforts import find_effort, resolve_effort_limit
 from pupper_analysis.models.mjcf import JointKind, compile_spec, has_free_joint, list_free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
@@ -159,13 +159,23 @@ class UrdfLinks:
         urdf_joint = self._add_joint(name, kind, parent, child, placed)
         urdf_joint.add_axis(model.jnt_axis[joint], NUM_DIGITS)
         node = urdf_joint.element
-        effort = find_max_effort(model, joint)
+        effort = find_effort(model, joint)
         limit = add_element(
             node,
             "limit",
             effort=join_numbers(effort if math.isfinite(effort) else UNSTATED),
             velocity=join_numbers(_DEFAULT_VELOCITY_LIMIT),
         )
+        efforts = resolve_effort_limit(model, joint)
+        if math.isfinite(effort) and not math.isclose(-efforts.lower, efforts.upper):
+            note = diagnose(
+                "range-becomes-effort",
+                subject=("joint", name),
+                lower=Quantity(efforts.lower, efforts.unit),
+                upper=Quantity(efforts.upper, efforts.unit),
+                effort=Quantity(effort, efforts.unit),
+            )
+            self.left.append(note)
         if limited:
             low, high = model.jnt_range[joint].tolist()
             limit.set("lower", join_numbers(low))

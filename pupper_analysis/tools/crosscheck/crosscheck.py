@@ -47,7 +47,7 @@ from pupper_analysis.models.conversion import (
     joint_damping,
     pinocchio_from_mujoco,
 )
-from pupper_analysis.models.efforts import find_max_effort
+from pupper_analysis.models.efforts import find_effort
 from pupper_analysis.models.mjcf import (
     compile_spec,
     has_free_joint,
@@ -475,7 +475,7 @@ def _evaluate_at_rest(
         "joint axes": data.xaxis[joints],
         "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
         "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
-        "effort limits": [find_max_effort(model, joint) for joint in joints],
+        "effort limits": [find_effort(model, joint) for joint in joints],
         "armature": joint_armature(model)[dofs],
         "joint damping": joint_damping(model)[dofs],
         "joint friction": model.dof_frictionloss[dofs],

@@ -25,7 +25,7 @@ from pupper_analysis.base.arrays import (
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.efforts import (
-    find_max_effort,
+    find_effort,
     read_actuator_efforts,
     read_joint_effort,
 )
@@ -416,19 +416,15 @@ def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
         stated_limits += [
             (motor, limit) for limit in read_actuator_efforts(model, actuator) if limit.factor
         ]
-    old_effort = find_max_effort(model, joint)
+    old_effort = find_effort(model, joint)
     for owner, limit in stated_limits:
         # A bound looser than the smallest one is kept, unless it is below the target.
-        differs = abs(limit.max_torque - target) > NUMBER_RTOL * max(target, limit.max_torque)
-        if differs and (
-            limit.max_torque < target or limit.max_torque <= old_effort * (1 + NUMBER_RTOL)
-        ):
+        differs = abs(limit.effort - target) > NUMBER_RTOL * max(target, limit.effort)
+        if differs and (limit.effort < target or limit.effort <= old_effort * (1 + NUMBER_RTOL)):
             value, bounds = target / abs(limit.factor), np.array(limit.stated)
-            pair = bounds * (
-                value / float(np.abs(bounds).max())
-            )  # one-sided ranges keep their shape
-            symmetric = abs(bounds.sum()) <= NUMBER_RTOL
-            side.elements.write(owner, limit.attribute, [-value, value] if symmetric else pair)
+            pair = bounds * (value / float(np.abs(bounds).max()))  # of one direction only
+            is_two_sided = limit.symmetric_torque > 0
+            side.elements.write(owner, limit.attribute, [-value, value] if is_two_sided else pair)
     null = side.robot.description.null_efforts.get(name)
     if null is not None:  # a range with equal or inverted ends, which the compiled model lacks
         owner, factor = element, 1.0

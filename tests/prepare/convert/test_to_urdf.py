@@ -219,3 +219,21 @@ def test_mjcf_with_several_robots_requires_a_name(tmp_path: Path) -> None:
     with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; select one"):
         pa.load_robot(file)
     assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")
+
+
+@pytest.mark.parametrize(
+    ("ends", "effort", "noted"), [("-9 4", 4.0, True), ("0 9", 9.0, True), ("-9 9", 9.0, False)]
+)
+def test_effort_permits_no_torque_beyond_the_range_of_two_directions(
+    tmp_path: Path, ends: str, effort: float, noted: bool
+) -> None:
+    """Reference: the stated ends. A range of one direction has no effort that both models share."""
+    mjcf = tmp_path / "arm.xml"
+    mjcf.write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 1 0" range="-60 60"/>'
+        '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></worldbody>'
+        f'<actuator><position joint="turn" kp="90" forcerange="{ends}"/></actuator></mujoco>'
+    )
+    result = pa.convert_model(mjcf, tmp_path / "arm.urdf")
+    assert f'effort="{effort:g}"' in (tmp_path / "arm.urdf").read_text()
+    assert ("range-becomes-effort" in {left.code for left in result.not_converted}) is noted

@@ -48,3 +48,27 @@ def test_effort_of_the_urdf_is_written_before_the_gear(tmp_path: Path, kind: str
     result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
     assert result.agree
     assert [edit.new for edit in result.edits] == ["-7 7"]
+
+
+TWO_DIRECTIONS = {"smaller upper end": (-21.0, 9.0), "smaller lower end": (-9.0, 21.0)}
+
+
+@pytest.mark.parametrize("ends", TWO_DIRECTIONS.values(), ids=TWO_DIRECTIONS)
+def test_range_that_is_smaller_in_one_direction_differs_from_the_effort(
+    ends: tuple[float, float], tmp_path: Path
+) -> None:
+    """Reference: the compiled range. MuJoCo's motor exerts 9 of the 21 N m of the URDF in one
+    direction, with which `stand` evaluates the motors; `crosscheck` compared the larger end.
+    """
+    robot = quadruped()
+    motor = f'<motor joint="hip1" forcelimited="true" forcerange="{ends[0]} {ends[1]}"/>'
+    text, count = re.subn('<motor [^>]*joint="hip1"[^>]*/>', motor, mjcf_text(robot))
+    assert count == 1
+    files = write(tmp_path, urdf_text(robot), text)
+    (difference,) = pa.compare_models(files.urdf, files.mjcf).differences
+    assert (difference.kind, difference.element) == ("effort", "hip1")
+    assert (difference.urdf, difference.mjcf) == (21.0, 9.0)
+    assert pa.sync_models(files.urdf, files.mjcf, take="urdf").agree
+    model = mujoco.MjModel.from_xml_path(str(files.mjcf))
+    index = next(i for i in range(model.nu) if model.actuator_trnid[i, 0] == model.joint("hip1").id)
+    assert model.actuator_forcerange[index] == pytest.approx((-21.0, 21.0))

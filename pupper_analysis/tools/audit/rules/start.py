@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.models.efforts import find_max_effort
+from pupper_analysis.models.efforts import resolve_effort_limit
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import JointKind, has_free_joint
 from pupper_analysis.models.shapes import read_shape
@@ -156,7 +156,8 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
             if drive.stiffness <= 0 or drive.gear == 0:
                 continue
             command = float(model.key_ctrl[key, drive.control]) * drive.gain / drive.stiffness
-            limit = find_max_effort(model, drive.joint) / (drive.stiffness * drive.gear**2)
+            effort = resolve_effort_limit(model, drive.joint)
+            limit = max(-effort.lower, effort.upper) / (drive.stiffness * drive.gear**2)
             offset = command / drive.gear - angle
             if abs(offset) > 1e-3 + (limit if math.isfinite(limit) else MAX_SAG):
                 offsets[drive.joint_name] = offset
