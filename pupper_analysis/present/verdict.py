@@ -75,7 +75,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """List the statements of a verdict in the order of display, without repetitions.
 
     Statements that agree with the verdict come first. In a bad verdict, causes (`_CAUSES`) follow
-    directly after the first statement.
+    directly after the first statement, overloaded motors first.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -112,8 +112,18 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     once = {str(clause): clause for clause in messages}  # a cause may be stated for two failures
     ordered = sorted(once.values(), key=lambda clause: clause.good != verdict.passed)
     if not verdict.passed:
-        ordered[1:] = sorted(ordered[1:], key=lambda clause: clause.message.code not in _CAUSES)
+        ordered[1:] = sorted(ordered[1:], key=_rank_cause)
     return tuple(ordered)
+
+
+def _rank_cause(clause: Clause) -> int:
+    """Return the rank of a statement in a bad verdict: overloaded motors, other causes, the rest.
+
+    Overloaded motors precede a range that limits motors, which names all motors with this range.
+    """
+    if clause.message.code == "motors-overloaded":
+        return 0
+    return 1 if clause.message.code in _CAUSES else 2
 
 
 def format_verdict(verdict: Verdict) -> str:

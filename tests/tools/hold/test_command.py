@@ -75,3 +75,28 @@ def test_urdf_without_inertials_is_refused(
     status, _, errors = run_command(capfd, "hold", *files)
     assert status == 2
     assert "'elbow' moves no mass" in errors
+
+
+LIFT = """<mujoco><worldbody><body name="base">
+<geom size="0.05" mass="1" contype="0" conaffinity="0"/>
+<body name="pillar"><joint name="pan" axis="0 0 1" range="-90 90"/>
+<geom size="0.05" mass="1" contype="0" conaffinity="0"/>
+<body name="carriage" pos="0.1 0 0"><joint name="lift" type="slide" axis="0 0 1" range="-0.1 0.4"/>
+<geom size="0.05" mass="2" contype="0" conaffinity="0"/></body></body></body></worldbody>
+<actuator><position joint="pan" kp="90" kv="9" forcerange="-20 20"/>
+<position joint="lift" kp="900" kv="90" forcerange="-15 15"/></actuator></mujoco>"""
+
+
+@pytest.mark.slow
+def test_overloaded_motor_precedes_the_motors_that_a_range_limits(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Closed form: 2 kg weigh 19.6 N, of which the lift exerts 15 N, so that it sinks to the lower
+    end of its range. The vertical axis of the pan needs no torque, although a range limits it.
+    """
+    file = tmp_path / "lift.xml"
+    file.write_text(LIFT)
+    status, output, _ = run_command(capfd, "hold", str(file))
+    assert status == 1
+    _, cause, *_ = output.splitlines()
+    assert cause.strip().startswith("OVERLOADED: motors exceed their limits: lift")
