@@ -17,11 +17,12 @@ import pinocchio as pin
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.multibody import MultibodyTree, copy_value
-from pupper_analysis.robot.compare.differences import PropertyKey
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, copy_value
+from pupper_analysis.robot.compare.differences import PropertyKey, body_changes
 from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
 
 Part = TypeVar("Part", bound=Hashable)
@@ -124,6 +125,27 @@ class MatchedRobots:
                 result = with_zero(result, name, -offset)
         return result
 
+    def list_equal_inertias(
+        self, taken: Collection[PropertyKey], tolerances: Tolerances
+    ) -> list[PropertyKey]:
+        """List ("inertia", body) of bodies whose mass and CoM are taken, with equal inertias.
+
+        Inertias within the tolerance count as equal. With the inertia, the body becomes that of the
+        other file; the inertial of a link with fixed links may then need fewer changes.
+        """
+        bodies = [name for kind, name in taken if kind == "mass" and ("com", name) in taken]
+        return [
+            ("inertia", name)
+            for name in bodies
+            if "inertia"
+            not in {
+                change.kind
+                for change in body_changes(
+                    name, self.urdf.bodies[name], self.mjcf.bodies[name], tolerances
+                )
+            }
+        ]
+
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
     """Compute the joint trees of a URDF and an MJCF in common frames, with transforms to the files.
@@ -178,11 +200,22 @@ class Side:
     Attributes:
         sides: Matched robots of both files.
         target: Multibody tree that the changed file must describe.
+        same_bodies: ``target``, with equal inertias also from the other file
+            (`MatchedRobots.list_equal_inertias`); None if ``target`` is exact.
         unwritten: {difference: reason why no value can be written}.
         notes: {difference: note on the written value}.
     """
 
     sides: MatchedRobots
     target: MultibodyTree
+    same_bodies: MultibodyTree | None = None
     unwritten: dict[PropertyKey, Diagnostic] = field(default_factory=dict)
     notes: dict[PropertyKey, Diagnostic] = field(default_factory=dict)
+
+    def list_body_targets(self, mover: str) -> list[TreeBody]:
+        """Return the target of a body, and the target with an equal inertia of the other file.
+
+        The planners use the target that needs fewer changes, and otherwise the first.
+        """
+        trees = [tree for tree in (self.target, self.same_bodies) if tree is not None]
+        return [tree.bodies[mover] for tree in trees]

@@ -67,16 +67,19 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
-    target = side.sides.mjcf_frames[mover].actInv(side.target.bodies[mover].spatial_inertia)
+    frame = side.sides.mjcf_frames[mover].inverse()
+    targets = [frame.act(body.spatial_inertia) for body in side.list_body_targets(mover)]
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     poses = {body: side.sides.bodies[str(model.body(body).name)] for body in group}
     inertias = {body: pose.act(inertia_of_body(model, body)) for body, pose in poses.items()}
     heavy_parts = {body: part for body, part in inertias.items() if part.mass > 0}
-    if is_same_body(sum(heavy_parts.values(), pin.Inertia.Zero()), target):
+    if is_same_body(sum(heavy_parts.values(), pin.Inertia.Zero()), targets[0]):
         return
     plans = []
-    for body, part in list_single_part_changes(heavy_parts, target, top):
+    for body, part in (
+        way for target in targets for way in list_single_part_changes(heavy_parts, target, top)
+    ):
         element = side.elements.find_body(str(model.body(body).name))
         if element is None:
             side.unwritten.update(dict.fromkeys(keys, COPIED_BODY))

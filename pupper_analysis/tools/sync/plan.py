@@ -200,7 +200,11 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, 
                     UnwrittenCause.NOT_STATED,
                 )
         keys = [key for key in keys if key not in plan.left]
-        side.target = robots.merge_values("urdf" if source == "mjcf" else "mjcf", keys)
+        receiver = "urdf" if source == "mjcf" else "mjcf"
+        side.target = robots.merge_values(receiver, keys)
+        side.same_bodies = robots.merge_values(
+            receiver, [*keys, *robots.list_equal_inertias(keys, tolerances)]
+        )
         side.plan(keys)
         plan.left |= side.unwritten
         plan.notes |= side.notes

@@ -185,7 +185,7 @@ class UrdfSide(Side):
         """
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
-        target = frame.act(self.target.bodies[mover].spatial_inertia)
+        targets = [frame.act(body.spatial_inertia) for body in self.list_body_targets(mover)]
         members = self._list_members(mover)
         stated_inertias = {link: self._links[link].inertia for link in members}
         inertias = {
@@ -194,9 +194,13 @@ class UrdfSide(Side):
             if inertia is not None
         }
         inertias = {link: inertia for link, inertia in inertias.items() if inertia.mass > 0}
-        if is_same_body(sum(inertias.values(), pin.Inertia.Zero()), target):
+        if is_same_body(sum(inertias.values(), pin.Inertia.Zero()), targets[0]):
             return
-        part_changes = list_single_part_changes(inertias, target, members[0])
+        part_changes = [
+            way
+            for target in targets
+            for way in list_single_part_changes(inertias, target, members[0])
+        ]
         if not part_changes:
             self.unwritten.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
             return

@@ -72,3 +72,39 @@ def test_range_that_is_smaller_in_one_direction_differs_from_the_effort(
     model = mujoco.MjModel.from_xml_path(str(files.mjcf))
     index = next(i for i in range(model.nu) if model.actuator_trnid[i, 0] == model.joint("hip1").id)
     assert model.actuator_forcerange[index] == pytest.approx((-21.0, 21.0))
+
+
+ROTOR = {
+    "urdf": """<robot name="arm"><link name="base"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+<link name="arm"><inertial><origin xyz="0.004 0.022 -0.033"/><mass value="1.2"/>
+<inertia ixx="0.006" iyy="0.006" izz="0.001" ixy="0" ixz="-0.0003" iyz="0"/></inertial></link>
+<joint name="weld" type="fixed"><origin xyz="0 -0.03 0"/><parent link="arm"/>
+<child link="rotor"/></joint>
+<link name="rotor"><inertial><mass value="0.09"/>
+<inertia ixx="6e-5" iyy="1e-4" izz="6e-5" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>""",
+    "mjcf": """<mujoco><compiler angle="radian"/><worldbody><body name="base"><body name="arm">
+<joint name="turn" axis="0 1 0" range="-1 1" actuatorfrcrange="-9 9"/>
+<inertial pos="0.004 0.022 -0.033" mass="1.2" fullinertia="0.006 0.006 0.001 0 -0.0003 0"/>
+<body name="rotor" pos="0 -0.03 0"><inertial pos="0 0 0" mass="0.09" diaginertia="6e-5 1e-4 6e-5"/>
+</body></body></body></worldbody></mujoco>""",
+}
+
+
+@pytest.mark.parametrize("side", ROTOR)
+def test_changed_mass_of_a_link_with_fixed_link_changes_no_inertia(
+    side: str, tmp_path: Path
+) -> None:
+    """Reference: the file before the mass was edited. The edit moves the CoM of link and fixed link
+    together by 0.9 mm, and changes the inertia about it by 0.05 %, below the tolerance.
+    """
+    words = {"urdf": ('value="1.2"', 'value="1.9"'), "mjcf": ('mass="1.2"', 'mass="1.9"')}[side]
+    texts = ROTOR | {side: ROTOR[side].replace(*words)}
+    assert texts != ROTOR
+    files = write(tmp_path, texts["urdf"], texts["mjcf"])
+    result = pa.sync_models(files.urdf, files.mjcf, take="mjcf" if side == "urdf" else "urdf")
+    assert [(edit.attribute, float(edit.new)) for edit in result.edits] == [
+        ("value" if side == "urdf" else "mass", 1.2)
+    ]
+    assert {"urdf": files.urdf, "mjcf": files.mjcf}[side].read_text() == ROTOR[side]
