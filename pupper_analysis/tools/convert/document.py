@@ -43,8 +43,8 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 
 def _is_servo_note(note: Diagnostic) -> bool:
-    """Return True for the note that the servos of the converted variant's MJCF differ."""
-    return note.code == "servos-of-variant-not-used"
+    """Return True for the note that servos or armature differ from the converted variant's MJCF."""
+    return note.code in ("servos-of-variant-not-used", "armature-of-variant-not-used")
 
 
 def _make_title(conversion: Conversion) -> doc.Text:
@@ -56,7 +56,16 @@ def _make_title(conversion: Conversion) -> doc.Text:
     }
     if not conversion.agree or note is None:
         return text("old-and-new", **names)
-    return text("old-and-new-except-servos", **names, armature=note.values["other_armature"])
+    servos = note.code == "servos-of-variant-not-used"
+    armature = not servos or note.values["other_armature"]
+    both = servos and armature
+    return text(
+        "old-and-new-except-servos",
+        **names,
+        both=both,
+        servos=servos and not both,
+        armature=armature and not both,
+    )
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
@@ -77,10 +86,10 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
 def _list_variant_gains(conversion: Conversion) -> tuple[str, ...]:
     """Return the options for kp and kd of the variant's own MJCF, if its joints have equal gains.
 
-    Empty if the servos do not differ from this MJCF.
+    Empty if the servos do not differ from those of this MJCF.
     """
     note = next(filter(_is_servo_note, conversion.notes), None)
-    spans = [] if note is None else [note.values["own_kp"], note.values["own_kd"]]
+    spans = [] if note is None else [note.values.get("own_kp"), note.values.get("own_kd")]
     words: list[str] = []
     for name, span in zip(("--kp", "--kd"), spans, strict=False):
         if not isinstance(span, Diagnostic) or span.values["wide"]:
@@ -120,6 +129,7 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
         explained=count and conversion.agree,
         differs=count and not conversion.agree,
         worst=f"{max(compared.deviations.values()):.1e}",
+        armature=any(loss.code == "armature-not-in-urdf" for loss in conversion.not_converted),
     )
     if repairs := len(conversion.repairs):
         deviation = text("near-repaired-inertials-count", near=deviation, count=repairs)

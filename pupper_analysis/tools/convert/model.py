@@ -262,30 +262,32 @@ def _read_converted_pair(
 def _list_changed_servos(
     variant: str | VariantSpec | None, robot: Robot | None
 ) -> Iterator[Diagnostic]:
-    """Yield a note if the servos of a new MJCF differ from the servos of the variant's own MJCF.
+    """Yield a note if servos or armature of a new MJCF differ from those of the variant's own MJCF.
 
-    The note also states both armatures, if they differ: a URDF contains none. ``variant`` is None
-    for another source, ``robot`` if the new file has no robot.
+    The note states both armatures, if they differ: a URDF contains none. ``variant`` is None for
+    another source, ``robot`` if the new file has no robot.
     """
     if variant is None or robot is None:
         return
     published = load_variant(variant)
     own, new = list_position_servos(published), list_position_servos(robot)
+    own_armatures, new_armatures = map(_read_joint_armatures, (published, robot))
+    other_armature = not np.allclose(own_armatures, new_armatures, rtol=1e-6, atol=0.0)
+    spans: dict[str, Any] = {
+        "variant": str(getattr(variant, "name", variant)),
+        "own_armature": describe_span(own_armatures, "kg m^2"),
+        "new_armature": describe_span(new_armatures, "1"),
+    }
     if not own or not new or own == new:
+        if other_armature:
+            yield diagnose("armature-of-variant-not-used", **spans)
         return
-    spans: dict[str, Any] = {}
     for owner, servos in (("new", new), ("own", own)):
         for index, (name, unit) in enumerate((("kp", "N m/rad"), ("kd", "N m s/rad"))):
             values = [gains[index] for gains in servos.values()]
             spans[f"{owner}_{name}"] = describe_span(values, unit)
             spans[f"{owner}_{name}_number"] = describe_span(values, "1")
-    own_armatures, new_armatures = map(_read_joint_armatures, (published, robot))
-    spans["own_armature"] = describe_span(own_armatures, "kg m^2")
-    spans["new_armature"] = describe_span(new_armatures, "1")
-    spans["other_armature"] = not np.allclose(own_armatures, new_armatures, rtol=1e-6, atol=0.0)
-    yield diagnose(
-        "servos-of-variant-not-used", variant=str(getattr(variant, "name", variant)), **spans
-    )
+    yield diagnose("servos-of-variant-not-used", other_armature=other_armature, **spans)
 
 
 def _read_joint_armatures(robot: Robot) -> Array:

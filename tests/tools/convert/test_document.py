@@ -121,7 +121,14 @@ def test_second_line_has_the_gains_of_the_added_servos_and_the_lost_limits() -> 
         "velocity limits of 12 joints not converted",
     ]
     complete = [get_english(part) for part in _describe_checks(converted)]
-    assert complete[0] == "dynamics deviate by at most 2.0e-15; no difference from go2.urdf"
+    assert complete[0] == (
+        "kinematics, masses and torques deviate by at most 2.0e-15; no difference from go2.urdf"
+    )
+    armature = diagnose("armature-not-in-urdf", armature=describe_span([0.01], "kg m^2"))
+    converted.not_converted = (armature,)
+    compared = "kinematics, masses, torques deviate ≤2.0e-15"
+    assert get_short_findings(converted)[0] == f"{compared} (with equal armature)"
+    converted.not_converted = (lost,)
     assert complete[1] == (
         "STANDS for 12 s in MuJoCo at base height 280.0 mm, on added servos with kp 320 N m/rad "
         "and kd 8 to 16 N m s/rad; torques deviate from the prediction by at most 4.2e-08"

@@ -642,8 +642,12 @@ def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path) -> None:
+def test_servos_of_a_variant_that_are_not_converted_are_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """References: kp, kd and armature of MuJoCo's compiled models; the note is about variants only.
+
+    With equal servos, the armature alone is named.
 
     The armature was not named: the largest stable kd of v3 is 2.6 with it, and 0.67 without.
     """
@@ -670,6 +674,13 @@ def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path)
         "v3", tmp_path / "same.xml", armature=dict.fromkeys(load("v3").joint_names, armatures[1])
     )
     assert conversion_document(same).title.en == "v3 and same.xml, except the servos"
+    monkeypatch.setattr(
+        "pupper_analysis.tools.convert.model.list_position_servos", lambda _: {"all": (5, 0.1)}
+    )
+    lost = pa.convert_model("v3", tmp_path / "lost.xml")
+    document = conversion_document(lost)
+    assert document.title.en == "v3 and lost.xml, except the armature"
+    assert document.findings[1].short.startswith("armature 0; the MJCF has an armature of 0.0016")
     file = pa.convert_model(ROOT / "urdf/pupper_v3.urdf", tmp_path / "file.xml")
     assert all(note.code != "servos-of-variant-not-used" for note in file.notes)
 
