@@ -182,20 +182,9 @@ def bound_servo_gains(
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
     drive = held.drive
     stiffness, damping = np.array(drive.kp), np.array(drive.kd)
-    largest = float(stiffness.max())
-    least = holding = None
-    if robot.floating and not robot.fixed_parts:
-        used = stiffness[stiffness > 0]
-        ratios = None if np.ptp(used) == 0 else stiffness / largest
-        try:
-            find = estimate_minimum_stiffness if stands else minimum_stiffness
-            least = find(robot, stand, ratios=ratios) / largest
-            # The estimate is up to 5 % too large, and the simulation proves that 1 suffices.
-            least = min(least, 1.0) if stands else least
-        except NoStiffnessError:
-            least = None
-        if least is not None and not stands:
-            holding = _find_holding_factor(robot, stand, drive, least)
+    least, holding = _find_least_factor(robot, stand, stiffness, stands=stands), None
+    if least is not None and not stands:
+        holding = _find_holding_factor(robot, stand, drive, least)
     most = _bound_damping(ControlledStand(held), stiffness, damping, least)
     classes = []
     for members in group_joints(robot, stiffness, damping):
@@ -220,6 +209,41 @@ def bound_servo_gains(
         timestep=float(drive.model.opt.timestep),
         integrator=drive.integrator,
     )
+
+
+def bound_explicit_damping(
+    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> float | None:
+    """Compute the largest factor on the damping with which an explicit PD controller is stable.
+
+    The result is `ServoBounds.largest_kd_factor` of a robot that stands with the present stiffness
+    (`bound_servo_gains`, also for arguments and errors), without the other bounds.
+    """
+    held = make_stand_start(robot, stand, kp=kp, kd=kd)
+    stiffness, damping = np.array(held.drive.kp), np.array(held.drive.kd)
+    least = _find_least_factor(robot, stand, stiffness, stands=True)
+    return _bound_damping(ControlledStand(held), stiffness, damping, least)
+
+
+def _find_least_factor(
+    robot: Robot, stand: Stand, stiffness: Array, *, stands: bool
+) -> float | None:
+    """Find the smallest factor on the stiffness (nu,) with which a robot is predicted to stand.
+
+    The servos have no feed-forward. If the robot ``stands`` with the present stiffness, the factor
+    is an estimate, at most 1. None if there is none, or for a fixed base, a weld or a grip.
+    """
+    if not robot.floating or robot.fixed_parts:
+        return None
+    largest, used = float(stiffness.max()), stiffness[stiffness > 0]
+    ratios = None if np.ptp(used) == 0 else stiffness / largest
+    try:
+        find = estimate_minimum_stiffness if stands else minimum_stiffness
+        least = find(robot, stand, ratios=ratios) / largest
+    except NoStiffnessError:
+        return None
+    # The estimate is up to 5 % too large, and the simulation proves that 1 suffices.
+    return min(least, 1.0) if stands else least
 
 
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:

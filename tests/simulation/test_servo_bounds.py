@@ -12,7 +12,11 @@ import pupper_analysis as pa
 from pupper_analysis.robot.tool import find_place, with_payload
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.servo_bounds import bound_servo_gains, find_soft_servos
+from pupper_analysis.simulation.servo_bounds import (
+    bound_explicit_damping,
+    bound_servo_gains,
+    find_soft_servos,
+)
 from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import load
@@ -27,6 +31,7 @@ def test_bounds_contain_the_gains_of_v3() -> None:
     bounds = bound_servo_gains(robot, stand)
     least = minimum_stiffness(robot, stand)
     assert bounds.uniform
+    assert bound_explicit_damping(robot, stand) == bounds.largest_kd_factor
     assert bounds.holding_kp_factor is None
     assert [one.name for one in bounds.classes] == ["leg_*_1", "leg_*_2", "leg_*_3"]
     assert all(one.least_kp == pytest.approx(least, rel=0.01) for one in bounds.classes)

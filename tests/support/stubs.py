@@ -397,7 +397,7 @@ def make_path_result(**changes: Any) -> Any:
     verdict = judge_stance(
         Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, question=Question.TRACKED
     )
-    return Stub(**fields, **{"verdict": verdict, **changes})
+    return Stub(**fields, **{"verdict": verdict, "largest_kd_factor": None, **changes})
 
 
 def judge_added_servos(question: Question) -> Verdict:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -36,7 +37,15 @@ def split_servo_statement(
     return kept, tuple(line for line in listed if get_english(line) == repeated)
 
 
-def exceeds_explicit_damping(servos: ServoBounds | None) -> bool:
+class DampingBound(Protocol):
+    """Result with ``largest_kd_factor``, as in `ServoBounds`; None without a bound."""
+
+    @property
+    def largest_kd_factor(self) -> float | None:
+        """Largest factor on the damping with which an explicit PD controller is stable [1]."""
+
+
+def exceeds_explicit_damping(servos: DampingBound | None) -> bool:
     """Return True if kd exceeds the bound of an explicit PD controller; False if none is known."""
     factor = None if servos is None else servos.largest_kd_factor
     return factor is not None and factor < 1

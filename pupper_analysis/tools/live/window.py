@@ -34,6 +34,7 @@ from pupper_analysis.prepare.self_check import (
 )
 from pupper_analysis.present import display
 from pupper_analysis.present.document import NextStep
+from pupper_analysis.present.documents.servos import exceeds_explicit_damping
 from pupper_analysis.present.verdict import (
     make_keyframe_run_clauses,
     make_published_clauses,
@@ -50,7 +51,9 @@ from pupper_analysis.robot.servos import (
 )
 from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
 from pupper_analysis.simulation.rollout import full_state, settled_activations
+from pupper_analysis.simulation.servo_bounds import bound_explicit_damping
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 
 DROP_SECONDS = 6.0
@@ -72,6 +75,8 @@ class Drop:
         end: Comparison of the final state with the home pose on the ground.
         keyframe: Name of the keyframe of the file whose joint positions the servos hold; "" if
             loading has found another start pose (``Robot.home``).
+        largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
+            stable in the default stand (`ServoBounds`); None without a bound, and if not stable.
         stable: True if ``height_deviation`` is below ``STABLE_DEVIATION``, the robot stands, and
             the simulation has not diverged.
     """
@@ -81,6 +86,7 @@ class Drop:
     height_deviation: float
     end: StandCheck
     keyframe: str
+    largest_kd_factor: float | None
     stable: bool
 
 
@@ -107,7 +113,11 @@ def simulate_drop(robot: Robot) -> Drop:
     stable = deviation < STABLE_DEVIATION and end.stands and not was_reset_by_mujoco(data)
     keyframe = find_posture_keyframe(robot, robot.home[robot.nq - robot.nu :])
     name = "" if keyframe is None else keyframe.name
-    return Drop(time, height, deviation, end, name, stable)
+    factor = None
+    if stable:
+        with contextlib.suppress(PupperAnalysisError):  # for example, without a default stand
+            factor = bound_explicit_damping(robot, solve_stand_as_simulated(robot))
+    return Drop(time, height, deviation, end, name, factor, stable)
 
 
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
@@ -219,10 +229,11 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     fails = not result.stable or bool(contradictions)
     word = "FAILS" if fails else "STABLE" if masses is None else "UNKNOWN"
     rest, contacts = format_drop(result)
-    print(f"{word} {robot.name}: {rest}")
+    ideal = word == "STABLE" and exceeds_explicit_damping(result)
+    print(f"{word}{' (ideal servos)' if ideal else ''} {robot.name}: {rest}")
     for message in (*contradictions, *(() if masses is None else (masses,)), contacts):
         print(f"  {message}")
-    print_next_step(NextStep("stand"))
+    print_next_step(NextStep("gains" if ideal else "stand"))
     return word == "STABLE"
 
 

@@ -15,8 +15,13 @@ from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import format_share, format_share_values, view_block
 from pupper_analysis.present.documents.motors import describe_motor_energy
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.servos import exceeds_explicit_damping
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
-from pupper_analysis.present.verdict import judged_document, select_step_after_failure
+from pupper_analysis.present.verdict import (
+    judged_document,
+    select_step_after_failure,
+    verdict_word,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.path.plan import StancePath
 from pupper_analysis.tools.path.tracking import PathThere, PathTracking
@@ -27,6 +32,8 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Create the report of a planned path and its simulation, with an animated 3-D view."""
     path, tracking = there.path, there.tracking
     used = path.peak_utilisation
+    ideal = exceeds_explicit_damping(there)
+    good_step = "gains" if ideal else "payload" if path.has_motion else "workspace"
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
     place = f" of the limit ({path.peak_joint})"
     answer = (
@@ -66,6 +73,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
+        word=verdict_word(there.verdict, ideal_servos=ideal),
         limit=_describe_limit(path),
         details=(
             task_text(there.stand.task),
@@ -73,7 +81,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             *describe_motor_energy(tracking.energy),
         ),
         notes=robot_notes(robot),
-        next_step=doc.NextStep("payload" if path.has_motion else "workspace")
+        next_step=doc.NextStep(good_step)
         if there.passed
         else select_step_after_failure(there.verdict, doc.NextStep("stand")),
     )

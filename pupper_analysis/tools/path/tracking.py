@@ -7,6 +7,7 @@ and simulates the path from the nominal stand to a requested stance.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -44,6 +45,7 @@ from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.rollout import place_on_ground, simulate_commands
+from pupper_analysis.simulation.servo_bounds import bound_explicit_damping
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Outcome, Question, Verdict
 from pupper_analysis.simulation.verify import find_worst_unit
@@ -262,6 +264,8 @@ class PathThere(Result):
         path: Path.
         tracking: Result of the simulation.
         verdict: Verdict on tracking, and the conditions.
+        largest_kd_factor: Largest factor on the damping with which an explicit PD controller is
+            stable in the final stand (`ServoBounds`); None without a bound, and if the path fails.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "name")
@@ -271,6 +275,7 @@ class PathThere(Result):
     path: StancePath
     tracking: PathTracking
     verdict: Verdict
+    largest_kd_factor: float | None = field(default=None, metadata={"unit": "1"})
 
     @property
     def passed(self) -> bool:
@@ -354,20 +359,26 @@ def simulate_path(
         torque_error=tracking.torque_error,
         stability=stability,
     )
+    verdict = judge_simulation(
+        robot,
+        stand,
+        ran,
+        statics=stand_statics(robot, held),
+        question=Question.TRACKED,
+        kp=kp,
+        kd=kd,
+    )
+    factor = None
+    if verdict.passed:
+        with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
+            factor = bound_explicit_damping(robot, held, kp=kp, kd=kd)
     return PathThere(
         name=robot.name,
         stand=stand,
         path=path,
         tracking=tracking,
-        verdict=judge_simulation(
-            robot,
-            stand,
-            ran,
-            statics=stand_statics(robot, held),
-            question=Question.TRACKED,
-            kp=kp,
-            kd=kd,
-        ),
+        verdict=verdict,
+        largest_kd_factor=factor,
     )
 
 

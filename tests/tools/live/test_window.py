@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -63,6 +64,22 @@ def test_drop_report_names_the_pose_that_the_servos_hold(
     assert np.allclose(held, stated, rtol=0, atol=1e-9) is bool(keyframe)
     line = viewer.format_drop(viewer.simulate_drop(robot))[1]
     assert line.endswith(f"; servos hold {pose}, not the solved stand")
+
+
+def test_stable_drop_on_unstable_damping_states_ideal_servos(
+    dropped: viewer.Drop, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """v3 is stable on an explicit PD controller up to 26 times its damping."""
+    assert dropped.largest_kd_factor is not None
+    assert 20 < dropped.largest_kd_factor < 30
+    for factor, word in (
+        (dropped.largest_kd_factor, "STABLE v3: "),
+        (0.56, "STABLE (ideal servos)"),
+    ):
+        drop = replace(dropped, largest_kd_factor=factor)
+        monkeypatch.setattr(viewer, "simulate_drop", lambda _, drop=drop: drop)
+        assert viewer.drop_and_report(load("v3"), headless=True)
+        assert capsys.readouterr().out.startswith(word)
 
 
 def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Text, text
+from pupper_analysis.present.document import MAX_ANSWER_WIDTH, Text, get_english, text
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.path.command import command
 from pupper_analysis.tools.path.document import path_document
@@ -16,6 +16,15 @@ from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_path
 def test_path_states_that_its_servos_were_added() -> None:
     result = make_path_result(verdict=judge_added_servos(Question.TRACKED))
     assert ADDED_SERVOS_TEXT in " ".join(printed(path_document(result), width=240).split())
+
+
+def test_path_on_unstable_damping_states_ideal_servos_and_proposes_gains() -> None:
+    """`stand` stated ideal servos of Go2's URDF, and `path` did not; the bound is a factor of 1."""
+    for factor, ideal in ((None, False), (1.9, False), (0.56, True)):
+        document = path_document(make_path_result(largest_kd_factor=factor))
+        assert get_english(document.verdict).endswith("(ideal servos)") is ideal
+        assert document.next_step is not None
+        assert (document.next_step.command == "gains") is ideal
 
 
 def test_error_of_a_slide_is_a_length() -> None:
