@@ -389,6 +389,16 @@ def _correct_typed_command(unknown: str, correction: str) -> str:
     return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
 
 
+def complete_command_without(removed: object) -> str:
+    """Create the typed command line without some typed words, a tuple of texts."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return ""
+    removed_words = _split_parameter(removed)
+    words = [word for word in context.meta.get(TYPED_WORDS, ()) if word not in removed_words]
+    return f"{GENERATOR_NAME} {shlex.join([str(context.command.name), *words])}"
+
+
 def _replace_name(words: Sequence[str], name: str, replacement: str) -> list[str]:
     """Replace a name in words, where the name is a whole word or a part between ``=``, ``,``."""
     pattern = re.compile(rf"(?<![^=,:\s]){re.escape(name)}(?![^=,:\s])")

@@ -384,6 +384,73 @@ def check_base_is_free(robot: Robot, code: str, propose: Callable[[], str], **va
         raise
 
 
+def check_bases_are_free(
+    meant: Sequence[str | VariantSpec | RobotFiles], robots: Sequence[Robot], words: Sequence[str]
+) -> None:
+    """Raise the error about the first of several robots that cannot stand.
+
+    The error is followed by the running command with the other robots. If no robot can stand, it is
+    followed by `hold` of the first robot.
+
+    Args:
+        meant: Selections of the user.
+        robots: Robots of the selections, in the same order.
+        words: Typed words that name robots.
+
+    Raises:
+        ConfigurationError: If the base of a robot is fixed, or falls.
+        ModelError: If a fault in a model file prevents a stand.
+    """
+    refused: dict[int, ConfigurationError] = {}
+    for index, robot in enumerate(robots):
+        try:
+            robot.check_floating()
+        except ConfigurationError as error:
+            refused[index] = error
+    if not refused:
+        return
+    first, refusal = next(iter(refused.items()))
+    if len(robots) > 1:
+        refusal.add_note(_complete_command_of_others(meant, words, [*refused], first))
+    raise refusal
+
+
+def _complete_command_of_others(
+    meant: Sequence[str | VariantSpec | RobotFiles],
+    words: Sequence[str],
+    refused: Sequence[int],
+    first: int,
+) -> str:
+    """Create the running command line without refused robots; `hold` of ``first`` if all are.
+
+    ``refused`` are indices of ``meant``.
+    """
+    from pupper_analysis.cli.next_step import complete_command
+    from pupper_analysis.present.document import NextStep
+
+    typed: list[set[str]] = [
+        {*selection.models}
+        if isinstance(selection, RobotFiles)
+        else {selection if isinstance(selection, str) else selection.name}
+        for selection in meant
+    ]
+
+    def list_words(indices: Sequence[int]) -> tuple[str, ...]:
+        """Return the typed words that name the selections of some indices."""
+        return tuple(
+            word
+            for word in words
+            if any(word in typed[index] or {*word.split("+")} <= typed[index] for index in indices)
+        )
+
+    omitted = ("--urdf", "--mjcf") if len(meant) > 1 and not list_words([first]) else ()
+    command = str(click.get_current_context().command.name)
+    kept = list_words([index for index in range(len(meant)) if index not in refused])
+    if len(refused) == len(meant):
+        command, kept = "hold", list_words([first])
+    return complete_command(NextStep(command, kept, robot_typed=False, omitted=omitted))
+
+
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:

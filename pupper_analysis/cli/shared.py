@@ -442,6 +442,10 @@ class Command(click.Command):
             welds = "base=weld" in (context.params.get("contacts") or ())
             if line := _complete_command_after_refusal(refused, welds=welds):
                 error.add_note(line)
+            if isinstance(problem, Diagnostic) and refused == "one-robot-at-a-time":
+                from pupper_analysis.cli.next_step import complete_command_without
+
+                error.add_note(complete_command_without(problem.values["others"]))
             if named := self._rename_field(context, error):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)

@@ -26,6 +26,7 @@ from pupper_analysis.cli.robots import (
     Command,
     RobotOptions,
     add_options,
+    check_bases_are_free,
     hide_notes,
     load_selected_robot,
     name_uniquely,
@@ -235,6 +236,8 @@ class RobotAndTask:
         selections = self.which.select_robots(words) or default
         _refuse_file_options(selections)
         robots = [self._load_robot(selection, visuals=visuals) for selection in selections]
+        if len(robots) > 1:
+            check_bases_are_free(selections, robots, words)
         return name_uniquely(selections, robots)
 
     def _refuse_idle_direction(self) -> None:

@@ -320,7 +320,14 @@ def parse_single_robot(words: Sequence[str]) -> str | tuple[str, ...] | None:
     """
     robots = parse_robot_words(words)
     if len(robots) > 1:
-        raise ConfigurationError("ROBOT", diagnose("one-robot-at-a-time", robots=list(words)))
+        kept = (robots[0], *robots[0]) if isinstance(robots[0], tuple) else (robots[0],)
+        problem = diagnose(
+            "one-robot-at-a-time",
+            robots=list(words),
+            names=[Path(word).name for word in words],
+            others=[word for word in words if not {word, parse_robot_word(word)} & {*kept}],
+        )
+        raise ConfigurationError("ROBOT", problem)
     return robots[0] if robots else None
 
 

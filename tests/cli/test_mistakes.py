@@ -407,6 +407,8 @@ def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
         ("diff v3 v3-heav", "diff v3 v3-heavy"),
         ("contract v3-longleg", "contract v3-long-leg"),
         ("stand nobody", ""),
+        ("stand v3 v3-heavy --height 12cm", "stand v3 --height 12cm"),
+        ("best payload a/a.urdf a/a.xml v3", "best payload a/a.urdf a/a.xml"),
     ],
 )
 def test_refusal_of_a_mistake_is_followed_by_the_corrected_command(

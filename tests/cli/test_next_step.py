@@ -234,6 +234,31 @@ def test_refusal_of_a_fixed_base_prints_a_command_for_fixed_bases(
         assert "cannot be dropped; --mujoco" in err
 
 
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("analyze v3 arm.xml --height 12cm", "analyze v3 --height 12cm"),
+        ("analyze v3 arm.urdf arm.xml v3-heavy", "analyze v3 v3-heavy"),
+        ("analyze v3 arm.urdf+arm.xml", "analyze v3"),
+        ("analyze v3 --mjcf arm.xml", "analyze v3"),
+        ("analyze copy.xml arm.xml --no-figures", "hold copy.xml"),
+        ("push arm.xml v3", "push v3"),
+    ],
+)
+def test_refusal_of_one_of_several_robots_prints_the_command_without_it(
+    typed: str, expected: str, tmp_path: Path
+) -> None:
+    """The line was `hold` of all robots, which accepts a single robot."""
+    (tmp_path / "arm.urdf").write_text(arm.URDF)
+    for name in ("arm.xml", "copy.xml"):
+        (tmp_path / name).write_text(arm.MJCF)
+    done = answer(*shlex.split(typed), folder=tmp_path)
+    assert done.returncode == 2
+    error, step = done.stderr.splitlines()
+    assert "has a fixed base" in error
+    assert step == f"  next: pupper-analysis {expected}"
+
+
 @pytest.mark.parametrize("typed", ["fit --plan 3 -o plan.csv", "heat", "gains", "workspace"])
 def test_base_on_undriven_joints_is_refused_by_its_joints(
     typed: str, capfd: pytest.CaptureFixture[str], tmp_path: Path

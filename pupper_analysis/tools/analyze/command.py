@@ -19,6 +19,7 @@ from pupper_analysis.cli.robots import (
     VARIANT_OPTIONS,
     RobotOptions,
     add_options,
+    check_bases_are_free,
     load_selected_robot,
     name_uniquely,
     pass_robot_options,
@@ -119,6 +120,7 @@ def command(
     is_drawn = not no_figures or report_path is not None
     analyses, robots = _analyze_all(
         meant,
+        words,
         task,
         everything=everything,
         shown=shown,
@@ -151,6 +153,7 @@ def command(
 
 def _analyze_all(
     meant: list[VariantSpec | RobotFiles],
+    words: tuple[str, ...],
     task: StandTask,
     *,
     everything: bool,
@@ -159,6 +162,8 @@ def _analyze_all(
     sweep: bool,
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyse robots, and print each result as soon as it is known if ``shown``.
+
+    ``words`` are the typed words that name the robots, for an error about one of the robots.
 
     ``visuals`` is False if the robots are not drawn: visual meshes are then not converted. The gain
     sweep is computed if ``sweep``; the short output does not contain it.
@@ -177,6 +182,8 @@ def _analyze_all(
     with nullcontext() if has_files else shared.show_progress("loading the robots"):
         loaded = [load_selected_robot(robot, visuals=visuals) for robot in meant]
         robots = name_uniquely(meant, loaded)
+        if len(robots) > 1:
+            check_bases_are_free(meant, robots, words)
         for robot in robots:  # a stance out of reach is found before anything is printed
             solve_stand(robot, task)
     out = make_console()
