@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.reading import find_motor, list_motors
 
 THERMAL_NUMBERS = (
     "winding_resistance",
@@ -199,6 +201,17 @@ def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> 
         unknown += motor.list_unknown("ambient_temperature")
     housing = motor.list_unknown("housing_resistance", "housing_capacity")
     return unknown + (housing if len(housing) == 1 else ())
+
+
+@cache
+def list_thermal_motors() -> tuple[str, ...]:
+    """Return the names of the motors of this package with complete thermal data.
+
+    The limit temperature may be unknown.
+    """
+    return tuple(
+        name for name in list_motors() if not list_unknown_thermal_numbers(find_motor(name))
+    )
 
 
 def compute_continuous_torque(

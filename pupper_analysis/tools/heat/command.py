@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import check_base_is_free, robot_argument
@@ -91,7 +92,7 @@ def command(
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None)
     _check_base(robot, motors, limit)  # before the motors: no motor makes a fixed base stand
-    assigned = _read_file_motors(robot) | parse_motors(motors, robot)
+    assigned = _read_file_motors(robot) | _parse_known_motors(motors, robot, limit)
     if not assigned:
         error = ConfigurationError("--motor", diagnose("motor-not-given"))
         if (motor := _propose_motor(robot)) is None:
@@ -125,14 +126,16 @@ limit, or its inverse. Chosen, not tuned."""
 
 
 def _propose_motor(robot: Robot) -> str | None:
-    """Return the known motor whose largest torque is nearest to the robot's median effort limit.
+    """Return the motor whose largest torque is nearest to the robot's median effort limit.
 
-    None if no hinge has a known limit, or no motor is within `_MAX_TORQUE_RATIO` of the median.
+    Motors without thermal data are omitted, since `heat` computes no temperature for them. None if
+    no hinge has a known limit, or no motor is within `_MAX_TORQUE_RATIO` of the median.
     """
     import math
     import statistics
 
-    from pupper_analysis.models.motors.reading import find_motor, list_motors
+    from pupper_analysis.models.motors.reading import find_motor
+    from pupper_analysis.models.motors.thermal import list_thermal_motors
     from pupper_analysis.robot.joints import is_slide
 
     limits = [
@@ -145,7 +148,7 @@ def _propose_motor(robot: Robot) -> str | None:
     median = statistics.median(limits)
     distances = {
         name: abs(math.log(largest[0] / median))
-        for name in list_motors()
+        for name in list_thermal_motors()
         if (largest := find_motor(name).largest_torque) is not None and largest[0] > 0
     }
     nearest = min(distances, key=distances.__getitem__)
@@ -159,6 +162,43 @@ def _propose_list() -> str:
 
     step = NextStep("heat", ("--list-motors",), robot_typed=False, omitted=("*",))
     return complete_command(step)
+
+
+def _parse_known_motors(
+    motors: tuple[str, ...], robot: Robot, limit: float | None
+) -> dict[str, Motor]:
+    """Parse the texts of ``--motor``; propose a motor with thermal data for an unknown motor.
+
+    Returns:
+        {joint: motor}.
+
+    Raises:
+        ConfigurationError: If a text names no motor, and the most similar known motor has neither
+            thermal data nor a continuous torque.
+        UnknownNameError: For another unknown name.
+    """
+    from pupper_analysis.models.motors.reading import find_motor, list_motors
+    from pupper_analysis.models.motors.thermal import list_thermal_motors
+
+    try:
+        return parse_motors(motors, robot)
+    except UnknownNameError as error:
+        if error.kind != "motor":
+            raise
+        thermal, similar = list_thermal_motors(), error.correction
+        rated = similar in list_motors() and find_motor(similar).continuous_torque is not None
+        if rated or similar in thermal:
+            raise
+        unknown = str(error.name)
+        problem = diagnose("heat-motor-unknown", motor=unknown, known=thermal)
+        refusal = ConfigurationError("--motor", problem)
+        [proposed] = difflib.get_close_matches(unknown, thermal, 1, 0.0)
+        texts = tuple(
+            f"{pattern}{separator}{proposed if name == unknown else name}"
+            for pattern, separator, name in (text.rpartition("=") for text in motors)
+        )
+        refusal.add_note(complete_motor_command(texts, robot, _propose_limit(texts, limit)))
+        raise refusal from error
 
 
 def _propose_limit(texts: tuple[str, ...], limit: float | None) -> tuple[str, ...]:
@@ -182,18 +222,35 @@ def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> N
     from pupper_analysis.robot.plane import Weld
     from pupper_analysis.robot.touching import with_contacts
 
+    needs_motor = not (motors or robot.floating or _read_file_motors(robot))
+    proposed = _propose_motor(robot) if needs_motor else None
+    texts = (proposed,) if proposed is not None else motors
+
     def propose_weld() -> str:
         """Return the command that welds the base; raise an error if it cannot be welded."""
         with_contacts(robot, {"base": Weld()})
-        texts = motors
-        if not motors and not _read_file_motors(robot):
-            if (motor := _propose_motor(robot)) is None:
-                return _propose_list()
-            texts = (motor,)
+        if needs_motor and proposed is None:
+            return _propose_list()
         words = ("--contact", "base=weld", *_propose_limit(texts, limit))
         return complete_motor_command(texts, robot, words)
 
-    check_base_is_free(robot, "heat-of-fixed-base", propose_weld)
+    missing = {
+        "motor": needs_motor,
+        "hinges": bool(motors) and not robot.floating and _select_slides(motors, robot),
+        "limit": bool(not robot.floating and _propose_limit(texts, limit)),
+    }
+    check_base_is_free(robot, "heat-of-fixed-base", propose_weld, **missing)
+
+
+def _select_slides(motors: tuple[str, ...], robot: Robot) -> bool:
+    """Return True if a text of ``--motor`` selects a slide, which has no rotary motor."""
+    from pupper_analysis.robot.joints import find_joints, is_slide
+
+    return any(
+        is_slide(robot, joint)
+        for motor in motors
+        for joint in find_joints(robot, motor.rpartition("=")[0] or "*")
+    )
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
@@ -214,9 +271,8 @@ def _print_motors() -> None:
     The limit temperature is not included, because ``--limit`` states it.
     """
     from pupper_analysis.models.motors.reading import find_motor, list_motors
-    from pupper_analysis.models.motors.thermal import list_unknown_thermal_numbers
+    from pupper_analysis.models.motors.thermal import list_thermal_motors
 
     for name in list_motors():
-        motor = find_motor(name)
-        mark = "" if list_unknown_thermal_numbers(motor) else "thermal data"
-        click.echo(f"{name:<26} {mark:<12} {motor.source}")
+        mark = "thermal data" if name in list_thermal_motors() else ""
+        click.echo(f"{name:<26} {mark:<12} {find_motor(name).source}")

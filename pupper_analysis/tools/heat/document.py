@@ -14,6 +14,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.motors.assignment import describe_weak_motor
+from pupper_analysis.models.motors.thermal import list_thermal_motors
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
@@ -69,6 +70,7 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
             *(() if exceeds_limits else ties),
             *(first[1:] if states_first else ()),
             *losses,
+            *_describe_torque_alone(study),
         ),
         details=(task_text(study.stand.task), text("heat-model")),
         brief=True,
@@ -199,6 +201,25 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
         yield text(
             "heat-omitted", joints=join_words([doc.Name(joint) for joint in study.omitted[:4]])
         )
+
+
+def _describe_torque_alone(study: HeatStudy) -> Iterable[doc.Words]:
+    """Yield the largest torque, and the motors with thermal data, if nothing else is known.
+
+    Nothing is yielded if the losses are known, the limit temperature is the only missing number, or
+    a motor is too weak or too hot.
+    """
+    lacking = [motor for motor in study.motors if motor.unknown and motor.torque]
+    is_judged = study.weak or study.overheats or study.loss is not None
+    if not lacking or is_judged or _lacks_limit_only(study):
+        return
+    largest = max(lacking, key=lambda motor: abs(motor.torque))
+    yield text(
+        "heat-torque-alone",
+        torque=f"{abs(largest.torque):.2f}",
+        joint=doc.Name(largest.joint),
+        known=join_words([doc.Name(name) for name in list_thermal_motors()]),
+    )
 
 
 def _describe_weak_count(study: HeatStudy) -> Iterable[doc.Words]:

@@ -20,7 +20,13 @@ from pupper_analysis.models.motors.dcmotor import make_dcmotor_element
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import ThermalNetwork
-from pupper_analysis.present.document import BarPlot, LinePlot, Table, get_english
+from pupper_analysis.present.document import (
+    MAX_ANSWER_WIDTH,
+    BarPlot,
+    LinePlot,
+    Table,
+    get_english,
+)
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document, heat_plots
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, _refine_times, study_heat
@@ -297,17 +303,75 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     assert complete == {"dephy-actpack", "mit-mini-cheetah"}  # state all numbers of the network
     missing = answer("heat", "v3")
     assert missing.returncode == 2
-    assert "--motor: no motor is given or stated as dcmotor" in missing.stderr
+    assert "--motor: heat needs a motor: a name of --list-motors, or a file;" in missing.stderr
     arm_path = tmp_path / "arm.urdf"
     arm_path.write_text(arm.URDF.replace(*_BASE))
     fixed = answer("heat", str(arm_path))
     assert fixed.returncode == 2
-    assert "has a fixed base: heat needs --contact base=weld, motors by joint" in fixed.stderr
+    assert "has a fixed base: heat needs --contact base=weld, --motor\n" in fixed.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
     assert bad.returncode == 2
     assert "resistance: 2 rpm: rpm is not a valid unit" in bad.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "fault", "proposed"),
+    [
+        ("heat v3 --motor unitree-go1", "with thermal data: dephy-actpack, mit-mini-cheetah",
+         "heat v3 --motor mit-mini-cheetah --limit 100"),
+        ("heat v3 --motor unitree-a2 --limit 80 --payload 1kg", "--motor: no motor 'unitree-a2'",
+         "heat v3 --limit 80 --payload 1kg --motor mit-mini-cheetah"),
+        ("heat v3 --motor *_3=unitree-go1 --motor dephy-actpack", "'unitree-go1'",
+         "heat v3 --motor '*_3=mit-mini-cheetah' --motor dephy-actpack --limit 100"),
+        ("heat v3 --motor dephy-actpak", "most similar: dephy-actpack",
+         "heat v3 --motor dephy-actpack"),
+        ("heat v3 --motor t-motor-ak80", "t-motor-ak80-6", "heat v3 --motor t-motor-ak80-6"),
+        ("heat v3", "heat needs a motor", "heat v3 --motor dephy-actpack"),
+    ],
+)  # fmt: skip
+def test_refusal_proposes_a_motor_with_thermal_data(typed: str, fault: str, proposed: str) -> None:
+    """The proposed motor was the most similar name, for which the answer is UNKNOWN.
+
+    Reference: the marks of ``heat --list-motors``. t-motor-ak80-6 states a continuous torque.
+    """
+    done = answer(*shlex.split(typed))
+    error, step = done.stderr.splitlines()
+    assert done.returncode == 2
+    assert fault in error
+    assert len(error) <= MAX_ANSWER_WIDTH
+    assert step == f"  next: pupper-analysis {proposed}"
+
+
+@pytest.mark.parametrize(
+    ("typed", "missing"),
+    [
+        ("--motor mit-mini-cheetah --limit 80", "motors of the hinges only"),
+        ("--motor a_turn=mit-mini-cheetah --limit 80", ""),
+        ("--motor a_turn=mit-mini-cheetah", "--limit"),
+        ("", "--motor"),
+    ],
+)
+def test_refusal_of_a_fixed_base_names_missing_options_only(
+    typed: str, missing: str, tmp_path: Path
+) -> None:
+    """The refusal required a limit that was typed. Reference: the words; the hand is a slide."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm.URDF.replace(*_BASE))
+    error, _ = answer("heat", str(path), *typed.split()).stderr.splitlines()
+    required = ", ".join(filter(None, ("--contact base=weld", missing)))
+    assert error == f"error: arm.urdf has a fixed base: heat needs {required}"
+
+
+@pytest.mark.slow
+def test_answer_without_thermal_data_states_the_torque() -> None:
+    """The answer had a single line. Reference: the largest torque of `stand`, 0.47 N m."""
+    done = answer("heat", "v3", "--motor", "unitree-a1")
+    assert done.stdout.splitlines()[1] == (
+        "  largest torque 0.47 N m (leg_back_r_3); motors with thermal data: dephy-actpack, "
+        "mit-mini-cheetah"
+    )
 
 
 def test_motor_that_overheats_at_an_unknown_time_precedes_cool_motors() -> None:
