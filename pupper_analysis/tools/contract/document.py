@@ -74,7 +74,8 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         list_notes = ()
     elif is_asymmetric:
         verdict = text("contract-asymmetric")
-        messages = (_count_asymmetries(contract), *worst)
+        compared = () if is_alone else (_list_compared(contract),)
+        messages = (_count_asymmetries(contract), *compared, *worst)
     elif (
         has_findings
         and not (uncompared and unread)
@@ -196,7 +197,7 @@ def _count_asymmetries(contract: Contract) -> doc.Words:
         facts=sum(fact.source in sources for fact in contract.facts),
         source=doc.Name(next(iter(sources)) if len(sources) == 1 else ""),
         sources=len(sources) if len(sources) > 1 else None,
-        agree=len(contract.sources) > 1,
+        shared=len(find_compared_numbers(contract.facts)) or None,
     )
 
 
@@ -242,6 +243,7 @@ def select_next_step(contract: Contract, typed: Sequence[str] = ()) -> doc.NextS
     differ = any(_is_between_models(finding, others) for finding in contract.findings)
     if differ and is_variant(contract.model):
         return doc.NextStep("crosscheck", (contract.model,), robot_typed=False)
+    differ = differ or _has_asymmetries_only(contract)  # masses are not compared
     if differ and urdfs and contract.model not in urdfs:
         return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
     policies = [source.path for source in contract.sources if source.role == Role.POLICY]

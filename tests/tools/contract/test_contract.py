@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.present.document import FileFinding, Number, Table, get_english, word
+from pupper_analysis.present.document import FileFinding, NextStep, Number, Table, get_english, word
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.document import contract_document
@@ -398,7 +398,11 @@ def test_models_that_agree_are_not_called_different_if_left_and_right_differ(
     shown = contract_document(found)
     assert {finding.probable_mistake for finding in found.findings} == {"mirror"}
     assert get_english(shown.verdict) == "ASYMMETRIC"
-    assert shown.findings[0].short.startswith("the sources agree; ")
+    assert shown.findings[0].short == (
+        "2 shared numbers agree; 2 left-right differences in 2 sources"
+    )
+    assert get_english(shown.findings[1]) == "compared: damping"
+    assert shown.next_step == NextStep("crosscheck", (str(other), str(model)), robot_typed=False)
 
 
 UNNAMED_LISTS = {
