@@ -82,12 +82,12 @@ ROTOR = {
 <inertia ixx="0.006" iyy="0.006" izz="0.001" ixy="0" ixz="-0.0003" iyz="0"/></inertial></link>
 <joint name="weld" type="fixed"><origin xyz="0 -0.03 0"/><parent link="arm"/>
 <child link="rotor"/></joint>
-<link name="rotor"><inertial><mass value="0.09"/>
+<link name="rotor"><inertial><mass value="0.05"/>
 <inertia ixx="6e-5" iyy="1e-4" izz="6e-5" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>""",
     "mjcf": """<mujoco><compiler angle="radian"/><worldbody><body name="base"><body name="arm">
 <joint name="turn" axis="0 1 0" range="-1 1" actuatorfrcrange="-9 9"/>
 <inertial pos="0.004 0.022 -0.033" mass="1.2" fullinertia="0.006 0.006 0.001 0 -0.0003 0"/>
-<body name="rotor" pos="0 -0.03 0"><inertial pos="0 0 0" mass="0.09" diaginertia="6e-5 1e-4 6e-5"/>
+<body name="rotor" pos="0 -0.03 0"><inertial pos="0 0 0" mass="0.05" diaginertia="6e-5 1e-4 6e-5"/>
 </body></body></body></worldbody></mujoco>""",
 }
 
