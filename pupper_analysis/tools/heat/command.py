@@ -128,14 +128,13 @@ limit, or its inverse. Chosen, not tuned."""
 def _propose_motor(robot: Robot) -> str | None:
     """Return the motor whose largest torque is nearest to the robot's median effort limit.
 
-    Motors without thermal data are omitted, since `heat` computes no temperature for them. None if
-    no hinge has a known limit, or no motor is within `_MAX_TORQUE_RATIO` of the median.
+    Motors that `heat` cannot judge are omitted (`_is_rated`). None if no hinge has a known limit,
+    or no motor is within `_MAX_TORQUE_RATIO` of the median.
     """
     import math
     import statistics
 
-    from pupper_analysis.models.motors.reading import find_motor
-    from pupper_analysis.models.motors.thermal import list_thermal_motors
+    from pupper_analysis.models.motors.reading import find_motor, list_motors
     from pupper_analysis.robot.joints import is_slide
 
     limits = [
@@ -148,11 +147,19 @@ def _propose_motor(robot: Robot) -> str | None:
     median = statistics.median(limits)
     distances = {
         name: abs(math.log(largest[0] / median))
-        for name in list_thermal_motors()
+        for name in filter(_is_rated, list_motors())
         if (largest := find_motor(name).largest_torque) is not None and largest[0] > 0
     }
     nearest = min(distances, key=distances.__getitem__)
     return nearest if distances[nearest] <= math.log(_MAX_TORQUE_RATIO) else None
+
+
+def _is_rated(name: str) -> bool:
+    """Return True if a known motor has thermal data or a continuous torque: `heat` can judge it."""
+    from pupper_analysis.models.motors.reading import find_motor
+    from pupper_analysis.models.motors.thermal import list_thermal_motors
+
+    return name in list_thermal_motors() or find_motor(name).continuous_torque is not None
 
 
 def _propose_list() -> str:
@@ -177,7 +184,7 @@ def _parse_known_motors(
             thermal data nor a continuous torque.
         UnknownNameError: For another unknown name.
     """
-    from pupper_analysis.models.motors.reading import find_motor, list_motors
+    from pupper_analysis.models.motors.reading import list_motors
     from pupper_analysis.models.motors.thermal import list_thermal_motors
 
     try:
@@ -186,8 +193,7 @@ def _parse_known_motors(
         if error.kind != "motor":
             raise
         thermal, similar = list_thermal_motors(), error.correction
-        rated = similar in list_motors() and find_motor(similar).continuous_torque is not None
-        if rated or similar in thermal:
+        if similar in list_motors() and _is_rated(similar):
             raise
         unknown = str(error.name)
         problem = diagnose("heat-motor-unknown", motor=unknown, known=thermal)

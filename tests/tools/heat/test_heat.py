@@ -328,13 +328,14 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
         ("heat v3 --motor dephy-actpak", "most similar: dephy-actpack",
          "heat v3 --motor dephy-actpack"),
         ("heat v3 --motor t-motor-ak80", "t-motor-ak80-6", "heat v3 --motor t-motor-ak80-6"),
-        ("heat v3", "heat needs a motor", "heat v3 --motor dephy-actpack"),
+        ("heat v3", "heat needs a motor", "heat v3 --motor steadywin-gim4305-10"),
     ],
 )  # fmt: skip
 def test_refusal_proposes_a_motor_with_thermal_data(typed: str, fault: str, proposed: str) -> None:
     """The proposed motor was the most similar name, for which the answer is UNKNOWN.
 
-    Reference: the marks of ``heat --list-motors``. t-motor-ak80-6 states a continuous torque.
+    Reference: the marks of ``heat --list-motors``. t-motor-ak80-6 and steadywin-gim4305-10 state a
+    continuous torque.
     """
     done = answer(*shlex.split(typed))
     error, step = done.stderr.splitlines()
@@ -537,15 +538,19 @@ def test_proposed_motors_of_an_arm_drive_its_hinges_only(
     ("effort", "step"),
     [
         ("3", "heat v3 --effort 3 --motor steadywin-gim4305-10"),
-        ("23.7", "heat v3 --effort 23.7 --motor unitree-go-m8010-6 --limit 100"),
-        ("33", "heat v3 --effort 33 --motor unitree-a1 --limit 100"),
+        ("23.7", "heat v3 --effort 23.7 --motor mit-mini-cheetah --limit 100"),
+        ("33", "heat v3 --effort 33 --motor mit-mini-cheetah --limit 100"),
         ("1000", "heat --list-motors"),
     ],
 )
 def test_proposed_motor_is_as_strong_as_the_motors_of_the_robot(
     effort: str, step: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """References: peak torques of the data sheets: 3, 23.7 and 33.5 N m (v3, Go2, A1)."""
+    """References: largest torques of the data sheets: 3 and 18 N m (v3; Go2 and A1).
+
+    The motors of Go2 and A1 are nearer, but `heat` answers UNKNOWN: their data sheets state neither
+    thermal data nor a continuous torque.
+    """
     status, _, err = run_command(capfd, "heat", "v3", "--effort", effort)
     assert status == 2
     assert err.splitlines()[-1] == f"  next: pupper-analysis {step}"
