@@ -326,7 +326,7 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
     return found
 
 
-def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
+def find_null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     """Find the joints of an MJCF whose actuators exert no force, or whose force range is empty.
 
     An actuator exerts no force if its gear is 0, or if its force or control range is empty: both
@@ -342,7 +342,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     axes = {joint.name: _GEAR_LENGTHS.get(joint.type, 1) for joint in file.spec.joints}
     for actuator in file.spec.actuators:
         if actuator.trntype in _JOINT_TRANSMISSIONS:
-            empty = _empty_range(file, actuator, axes.get(actuator.target, 1))
+            empty = _find_empty_range(file, actuator, axes.get(actuator.target, 1))
             by_joint.setdefault(actuator.target, []).append(empty)
     for joint, statements in by_joint.items():
         first = statements[0]
@@ -366,7 +366,9 @@ _GEAR_LENGTHS = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_FREE: 6}
 """{type of a joint: number of the values of ``gear`` that act on the joint}, if not 1."""
 
 
-def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator, axes: int) -> EffortStatement | None:
+def _find_empty_range(
+    file: MjcfFile, actuator: mujoco.MjsActuator, axes: int
+) -> EffortStatement | None:
     """Return the range of an actuator that permits no force, or its gear of 0; None without one.
 
     The first ``axes`` values of the gear act on the joint.

@@ -178,7 +178,7 @@ _FLAT_MESH_ERROR: Final = re.compile(
 """Pattern of MuJoCo's error about a mesh without volume."""
 
 
-def flat_mesh(error: BaseException) -> str | None:
+def find_flat_mesh(error: BaseException) -> str | None:
     """Return the name of the mesh that MuJoCo rejects for lack of volume; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
@@ -209,7 +209,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
             with silence_mujoco():
                 return spec.compile(), shells, first_message
         except ValueError as error:
-            name = flat_mesh(error)
+            name = find_flat_mesh(error)
             if name is None or name in shells or _determines_mass(spec, name):
                 raise
             shells.append(name)
@@ -223,7 +223,7 @@ def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
-def taken_as_shells(names: list[str]) -> Diagnostic:
+def report_shells(names: list[str]) -> Diagnostic:
     """Create the note that MuJoCo treats flat meshes as thin shells to compute the inertia."""
     return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
@@ -566,8 +566,10 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     return fallback | index
 
 
-def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
-    """Find where an attribute of an element is set: in the element, or in a default class.
+def find_stating_element(
+    root: XmlNode, node: XmlNode, attributes: Collection[str]
+) -> XmlNode | None:
+    """Find the element that sets an attribute: the node, or an element of its default class.
 
     Args:
         root: Root element.
@@ -696,7 +698,7 @@ class MjcfFile:
         node = self._index.get((kind, name))
         if node is None or not self._roots:
             return None
-        setting_node = stating_element(self._roots[0], node, attributes)
+        setting_node = find_stating_element(self._roots[0], node, attributes)
         return None if setting_node is None else setting_node.place
 
     def place_of_nth_geom(
@@ -720,7 +722,9 @@ class MjcfFile:
         if len(nodes) != count:
             return self.place("body", body)
         node = nodes[number]
-        setting_node = stating_element(self._roots[0], node, attributes) if attributes else None
+        setting_node = (
+            find_stating_element(self._roots[0], node, attributes) if attributes else None
+        )
         return (setting_node or node).place
 
     def _list_geom_nodes(self, body: str) -> list[XmlNode]:
@@ -755,7 +759,7 @@ class MjcfFile:
 
     def _find_mesh(self, geom: XmlNode) -> str | None:
         """Return the name of a geom's mesh, from the geom or a default class; None without mesh."""
-        node = stating_element(self._roots[0], geom, ("mesh",))
+        node = find_stating_element(self._roots[0], geom, ("mesh",))
         return None if node is None else node.attributes["mesh"]
 
     @property
@@ -984,7 +988,7 @@ def _compile_file(
             model, shells, first_message = compile_with_shells(lambda: make_spec()[0])
             if shells:
                 put_shells(spec, shells)
-                notes.append(taken_as_shells(shells))
+                notes.append(report_shells(shells))
                 as_it_is = _make_refusal(tree, index, ValueError(first_message))
     except _MUJOCO_ERRORS as error:
         refusal = _make_refusal(tree, index, error)

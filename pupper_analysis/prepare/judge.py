@@ -42,7 +42,7 @@ from pupper_analysis.prepare.self_check import (
 )
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.as_published import (
-    MIN_POSTURE_DEVIATION,
+    MAX_POSTURE_DEVIATION,
     MIN_UNHELD_DISPLACEMENT,
     OwnCommands,
     OwnRun,
@@ -248,7 +248,7 @@ def _report_distant_command(run: OwnRun | None) -> tuple[Diagnostic, ...]:
     if run is None or run.fails or run.commands is not OwnCommands.STATED:
         return ()
     joint = run.redirected
-    if joint is None or abs(joint.off) <= MIN_POSTURE_DEVIATION:
+    if joint is None or abs(joint.off) <= MAX_POSTURE_DEVIATION:
         return ()
     moved = Quantity(abs(joint.off), joint.unit)
     return (

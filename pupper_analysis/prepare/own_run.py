@@ -46,7 +46,7 @@ from pupper_analysis.prepare.published_model import (
 from pupper_analysis.prepare.servo_tuning import TIMESTEP_DIVISORS
 from pupper_analysis.prepare.start import is_standing_pose
 from pupper_analysis.robot.as_published import (
-    MIN_POSTURE_DEVIATION,
+    MAX_POSTURE_DEVIATION,
     MIN_UNHELD_DISPLACEMENT,
     JointOff,
     OwnCommands,
@@ -166,8 +166,8 @@ class _NudgedStates:
         """
         if model is not self.model or not _are_equal_commands(hold, self.hold):
             return seconds
-        known = (self.initial, *(_integration_state(model, data) for data in self.reached))
-        current = _integration_state(model, state)
+        known = (self.initial, *(_get_integration_state(model, data) for data in self.reached))
+        current = _get_integration_state(model, state)
         if not any(np.array_equal(current, values) for values in known):
             return seconds
         begin, timestep = state.time, float(model.opt.timestep)
@@ -186,7 +186,7 @@ def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
     return run
 
 
-def _integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+def _get_integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """Return the full state (mjSTATE_INTEGRATION) that determines MuJoCo's next steps, (n,)."""
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     values = np.empty(mujoco.mj_stateSize(model, kind))
@@ -267,7 +267,7 @@ def _simulate_settling(
         published, robot, data, None, data.qpos[joint_qpos_addresses(published, robot)]
     )
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
-    initial, reached = _integration_state(model, data), []
+    initial, reached = _get_integration_state(model, data), []
     timestep = float(model.opt.timestep)
     halfway = round(keyframe_duration(model) / timestep) // 2 * timestep
     times = (halfway, _SETTLING_TIME) if halfway < _SETTLING_TIME else (_SETTLING_TIME,)
@@ -563,7 +563,7 @@ def _simulate_commands(
     if reference is None:
         reference = start.qpos[joint_qpos_addresses(published, robot)]
     joints = _joint_deviations(published, robot, reference, end, hold.ctrl)
-    unheld = _unheld_joints(published, robot, joints)
+    unheld = _find_unheld_joints(published, robot, joints)
     lifted = (
         [] if motion.diverged else _list_lifted_legs(published, robot, joints, start, end, motion)
     )
@@ -619,7 +619,7 @@ def _list_lifted_legs(
     moved = [
         leg
         for leg in legs
-        if leg and math.hypot(*(offsets[name].off for name in leg)) > MIN_POSTURE_DEVIATION
+        if leg and math.hypot(*(offsets[name].off for name in leg)) > MAX_POSTURE_DEVIATION
     ]
     if not moved:
         return []
@@ -689,7 +689,7 @@ def _joint_deviations(
     ]
 
 
-def _unheld_joints(
+def _find_unheld_joints(
     published: PublishedModel, robot: Robot, joints: list[JointOff]
 ) -> list[JointOff]:
     """Return the joints that moved because no position servo holds them.

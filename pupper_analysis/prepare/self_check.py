@@ -55,7 +55,7 @@ from pupper_analysis.prepare.published_model import (
     with_unstated_options,
 )
 from pupper_analysis.robot.as_published import (
-    MIN_POSTURE_DEVIATION,
+    MAX_POSTURE_DEVIATION,
     Cause,
     OwnCommands,
     OwnRun,
@@ -566,7 +566,7 @@ def _compare_end_state(
     joints = [published.model.joint(name).id for name in robot.joint_names]
     positions = end.data.qpos[published.model.jnt_qposadr[joints]]
     moved, stiction = np.abs(positions - prediction.qpos[-robot.nu :]), np.zeros(robot.nu)
-    error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
+    error, collapses, alike = None, not float(moved.max()) <= MAX_POSTURE_DEVIATION, True
     lifted, duration = False, SETTLING_TIME + end.nudged_time
     if robot.floating:
         motion = _measure_base_motion(published, start, end.data, duration)

@@ -86,7 +86,7 @@ MAX_PUBLISHED_DEVIATION = 0.02
 with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v3 deviates by 5e-5.
 Chosen, not tuned."""
 
-MIN_POSTURE_DEVIATION = 0.5
+MAX_POSTURE_DEVIATION = 0.5
 """Upper bound of the displacement [rad, m] of a joint, or of a lifted leg (norm over the joints).
 With a larger displacement, the posture is lost. Chosen, not tuned."""
 
@@ -210,7 +210,7 @@ class OwnRun(BodyMotion):
             from the initial position (`JointOff.commanded_away`); None if there is none.
         lifted_leg: Joint with the largest displacement in the legs that are on the ground at
             reset, but not at the end. None without such a leg, or if the displacements of its
-            joints are small: norm (rad and m mixed) at most 0.5 (``MIN_POSTURE_DEVIATION``).
+            joints are small: norm (rad and m mixed) at most 0.5 (``MAX_POSTURE_DEVIATION``).
         stance_travel: Horizontal travel [m] of the CoM of the robot, or of the base body if this is
             smaller: the motion of an arm moves the CoM of a robot on planted feet.
     """
@@ -234,13 +234,13 @@ class OwnRun(BodyMotion):
     def has_left_posture(self) -> bool:
         """True if a joint of a robot with a fixed base has moved far, without command.
 
-        The largest displacement exceeds 0.5 rad or m (``MIN_POSTURE_DEVIATION``), and the command
+        The largest displacement exceeds 0.5 rad or m (``MAX_POSTURE_DEVIATION``), and the command
         does not explain it.
         """
         worst = None if self.standing else self.worst
         return (
             worst is not None
-            and abs(worst.off) > MIN_POSTURE_DEVIATION
+            and abs(worst.off) > MAX_POSTURE_DEVIATION
             and not worst.commanded_away
         )
 

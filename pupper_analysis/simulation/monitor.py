@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.as_published import MIN_POSTURE_DEVIATION
+from pupper_analysis.robot.as_published import MAX_POSTURE_DEVIATION
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import (
     FALLEN_TILT,
@@ -186,12 +186,12 @@ class StandReference:
         """Return True if a robot has fallen, sunk, been thrown up or travelled from its stand.
 
         `fall.has_collapsed` defines the limits of tilt, height and horizontal travel. With a fixed
-        base, a joint that has left the posture counts (``MIN_POSTURE_DEVIATION``). ``state`` is an
+        base, a joint that has left the posture counts (``MAX_POSTURE_DEVIATION``). ``state`` is an
         mjSTATE_FULLPHYSICS.
         """
         if self.robot.is_base_fixed:
             joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
-            return not bool((np.abs(joints - self.joints) < MIN_POSTURE_DEVIATION).all())
+            return not bool((np.abs(joints - self.joints) < MAX_POSTURE_DEVIATION).all())
         position = self._locate_com_point(state)
         distance = horizontal_distance(self.com_position, position)
         return has_collapsed(

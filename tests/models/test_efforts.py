@@ -17,7 +17,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.attributes import UNSTATED
-from pupper_analysis.models.efforts import null_efforts, resolve_effort_limit
+from pupper_analysis.models.efforts import find_null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
@@ -505,7 +505,7 @@ def test_a_motor_at_a_ball_joint_has_three_gears(gear: str, is_empty: bool, tmp_
     data.ctrl[:] = 1.0
     mujoco.mj_forward(model, data)
     assert (not data.qfrc_actuator.any()) is is_empty
-    assert (set(null_efforts(read_mjcf(path))) == {"ball"}) is is_empty
+    assert (set(find_null_efforts(read_mjcf(path))) == {"ball"}) is is_empty
 
 
 @pytest.mark.slow

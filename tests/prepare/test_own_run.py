@@ -778,5 +778,5 @@ def test_joint_without_servo_gives_way_only_if_most_joints_have_servos(
         )
         for number in range(12)
     ]
-    unheld = own_run_module._unheld_joints(SimpleNamespace(), robot, joints)  # type: ignore[arg-type]
+    unheld = own_run_module._find_unheld_joints(SimpleNamespace(), robot, joints)  # type: ignore[arg-type]
     assert [joint.joint for joint in unheld] == found

@@ -24,7 +24,7 @@ from pupper_analysis.models.attributes import (
     TREE_ATTRIBUTES,
 )
 from pupper_analysis.models.conversion import inertia_of_body
-from pupper_analysis.models.efforts import EffortStatement, null_efforts, resolve_effort_limit
+from pupper_analysis.models.efforts import EffortStatement, find_null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf import JointKind, lower_boundmass
 from pupper_analysis.models.mjcf_file import MjcfFile, name_unnamed_joint
 from pupper_analysis.models.places import Place
@@ -74,7 +74,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
         if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
     }
-    empty_ranges = null_efforts(file)
+    empty_ranges = find_null_efforts(file)
     spec_joints = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
@@ -99,7 +99,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
                     spec_joints.get(joint),
                     empty_ranges.get(str(model.joint(joint).name)),
                 )
-                for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
+                for joint in _make_id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_make_inertial(model, body, explicit_inertials.get(body), bound),
             shapes=_list_shapes(model, body, lacks_mesh=names[body] in bodies_without_meshes),
@@ -111,7 +111,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
 
 def _list_shapes(model: mujoco.MjModel, body: int, *, lacks_mesh: bool) -> tuple[Shape, ...]:
     """Return the shapes of a body: geoms, and an empty mesh if the file of a mesh is missing."""
-    geoms = _id_range(model.body_geomadr[body], model.body_geomnum[body])
+    geoms = _make_id_range(model.body_geomadr[body], model.body_geomnum[body])
     missing = [Shape("", "mesh", Pose(), (), collides=False)] if lacks_mesh else []
     return *(read_shape(model, geom) for geom in geoms), *missing
 
@@ -184,7 +184,7 @@ def _find_heaviest_root(model: mujoco.MjModel) -> int:
     return best
 
 
-def _id_range(first: int, count: int) -> range:
+def _make_id_range(first: int, count: int) -> range:
     """Return the ids ``first`` to ``first + count - 1``, given as NumPy integers."""
     return range(int(first), int(first) + int(count))
 

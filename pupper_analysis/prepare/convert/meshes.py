@@ -23,7 +23,7 @@ from pupper_analysis.base.inputs import read_input
 from pupper_analysis.models.mesh_limits import MAX_MESH_BYTES
 from pupper_analysis.models.mesh_scenes import UnreadableError, read_merged_mesh
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import flat_mesh
+from pupper_analysis.models.mjcf_file import find_flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile, describe_missing_meshes
 from pupper_analysis.models.xml import add_element, make_unique_name
@@ -143,7 +143,7 @@ class MeshFiles:
             if not defers:
                 _test_compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
-            if flat_mesh(error) is None:
+            if find_flat_mesh(error) is None:
                 reason = diagnose("mesh-refused", message=_extract_message(error))
                 self._record_loss(reason, file, touches=touches, is_visual=is_visual)
                 return None
@@ -351,7 +351,7 @@ class DeferredMeshes:
             try:
                 _test_compile(content, file.path, file.scale, touches=False, shell=shell)
             except ValueError as error:
-                if shell or flat_mesh(error) is None:
+                if shell or find_flat_mesh(error) is None:
                     problem = diagnose("mesh-refused", message=_extract_message(error))
                     raise UnreadableError(problem) from error
             else:

@@ -24,7 +24,7 @@ from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
     MujocoBehaviour,
-    affordable_states,
+    count_affordable_states,
     random_states,
 )
 from pupper_analysis.robot.compare.differences import (
@@ -102,7 +102,7 @@ def explain_differences(
     mjcf_only = mjcf_only_effects(reference)
     coupled, uncoupled = split_mimics(mjcf_only, reference, mimics or {}, tolerances.limit)
     mjcf_only = [extra for extra in mjcf_only if extra not in coupled]
-    states = random_states(robot, affordable_states(robot, _NUM_STATES), seed=0)
+    states = random_states(robot, count_affordable_states(robot, _NUM_STATES), seed=0)
     behaviour = Behaviour(robot, states)
     urdf = behaviour(first)
     evaluate_mujoco = MujocoBehaviour(robot, reference, states, alignment.moved)
@@ -184,7 +184,7 @@ def compute_joint_effects(
     evaluable = [bool(group) and set(group) <= set(changes) for group in groups]
     if not any(evaluable):
         return [{} for _ in groups]
-    states = random_states(robot, affordable_states(robot, _NUM_STATES), seed=0)
+    states = random_states(robot, count_affordable_states(robot, _NUM_STATES), seed=0)
     behaviour = Behaviour(robot, states)
     urdf = behaviour(first)
     relative_error = RelativeError(urdf, urdf)

@@ -85,7 +85,7 @@ class MujocoBehaviour:
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, full)
             # MuJoCo's anchor of a slide is its position at qpos0.
-            anchors = data.xanchor[joints] + offsets_in_world(
+            anchors = data.xanchor[joints] + compute_offsets_in_world(
                 model, data, joints, self._local_offsets
             )
             slid = data.qpos[self._coordinates] - model.qpos0[self._coordinates]
@@ -106,7 +106,7 @@ class MujocoBehaviour:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def offsets_in_world(
+def compute_offsets_in_world(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
 ) -> Array:
     """Rotate one vector per joint from the axes of the joint's body to world axes.
@@ -261,7 +261,7 @@ def is_large(robot: Robot) -> bool:
     return robot.nv > MAX_PINOCCHIO_NV
 
 
-def affordable_states(robot: Robot, count: int) -> int:
+def count_affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
     For a large robot (`is_large`), the mass matrices of all states should take at most 80 MB

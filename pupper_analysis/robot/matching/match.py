@@ -35,7 +35,7 @@ from pupper_analysis.models import multibody
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.description import Description, ModelTree
-from pupper_analysis.models.efforts import null_efforts
+from pupper_analysis.models.efforts import find_null_efforts
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_elements
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import TreeJoint
@@ -355,7 +355,7 @@ def match_models(
         mjcf_source=mjcf.path,
         contact_points={},
         frames={name: frames[name] for name in feet or frames},
-        null_efforts=null_efforts(mjcf),
+        null_efforts=find_null_efforts(mjcf),
     )
     robot, conventions, base_notes = _build_in_mjcf_convention(
         root, description, tolerances or Tolerances()

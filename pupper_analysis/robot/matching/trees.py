@@ -65,7 +65,7 @@ def with_null_efforts(tree: MultibodyTree, joints: Collection[str]) -> Multibody
     """Set the effort limit of given joints to zero in a multibody tree; return a copy.
 
     The MJCF states an empty force range for these joints, for example "0 0", which a compiled model
-    does not contain as a limit (``models.efforts.null_efforts``).
+    does not contain as a limit (``models.efforts.find_null_efforts``).
 
     Args:
         tree: Tree of the MJCF.

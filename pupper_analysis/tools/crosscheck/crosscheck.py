@@ -64,7 +64,7 @@ from pupper_analysis.pupper.named_robots import find_model_pair
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.behaviour import (
     States,
-    affordable_states,
+    count_affordable_states,
     is_large,
     random_states,
 )
@@ -701,7 +701,7 @@ def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
     ``count`` is the requested number of states.
     """
     if is_large(robot):
-        states = affordable_states(robot, count)
+        states = count_affordable_states(robot, count)
         yield diagnose("large-without-pinocchio", dofs=robot.nv, states=states, count=count)
 
 
@@ -743,7 +743,7 @@ def cross_check(
     validate_state_request(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
-    configurations, requested = affordable_states(robot, configurations), configurations
+    configurations, requested = count_affordable_states(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     effects = mjcf_only_effects(reference)

@@ -24,7 +24,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.inputs import path_exists
-from pupper_analysis.models.efforts import null_efforts
+from pupper_analysis.models.efforts import find_null_efforts
 from pupper_analysis.models.git import (
     SAFE_ENVIRONMENT,
     SAFE_OPTIONS,
@@ -174,7 +174,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     }
     return Version(
         file=published,
-        tree=with_null_efforts(mjcf_tree(model, base, frames), null_efforts(file)),
+        tree=with_null_efforts(mjcf_tree(model, base, frames), find_null_efforts(file)),
         extra_values={
             **others,
             **_collect_motor_values(NamedModel(reference)),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pupper_analysis.tools.push.recovery import push_recovery, unknown_push_limits
+from pupper_analysis.tools.push.recovery import list_unknown_push_limits, push_recovery
 
 
 def _measure_weakest_push(design: Any) -> float:
     """Compute the largest survived push in the weakest direction [N s]; NaN with unknown limits."""
-    if unknown_push_limits(design.robot):
+    if list_unknown_push_limits(design.robot):
         return math.nan
     return push_recovery(design.robot, design.simulated_stand).weakest_impulse
 

@@ -197,7 +197,7 @@ def _study_robot(
     verdict = judge_simulation(
         robot, rigid_stand, verification, statics=statics, question=Question.LASTS, kp=kp, kd=kd
     )
-    unknown_limits = unknown_push_limits(robot)
+    unknown_limits = list_unknown_push_limits(robot)
     peaks, region_peaks, beyond_times, energy = None, None, None, None
     if (unknown_limits or motors) and not recovery.failures_without_push:
         samples = _simulate_weakest_push(robot, stand, recovery, verification, kp, kd)
@@ -278,7 +278,7 @@ simulation limits a torque to the largest torque of the motor. Chosen, not tuned
 """
 
 
-def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
+def list_unknown_push_limits(robot: Robot) -> tuple[str, ...]:
     """Return the driven joints that may bear load during a push and have an unknown torque limit.
 
     A joint may bear load if the joint moves a foot or hand, or belongs to a closed loop or

@@ -287,7 +287,7 @@ def has_main_file() -> bool:
     return getattr(main, "__spec__", None) is not None or file is None or Path(file).is_file()
 
 
-def explain_loss(error: BaseException) -> Diagnostic:
+def explain_worker_loss(error: BaseException) -> Diagnostic:
     """Return the message about an error that ends the run of a study: a failure of the workers.
 
     Errors of a single design are not passed to this function; the row of the design contains them.
@@ -495,7 +495,7 @@ class WorkerPool:
             except BrokenExecutor as error:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
             except ModuleNotFoundError as error:
-                raise StudyError("measure", explain_loss(error)) from error
+                raise StudyError("measure", explain_worker_loss(error)) from error
 
     def _get_executor(self) -> Executor:
         """Return the executor that evaluates designs; create the processes if there are none."""
@@ -710,7 +710,7 @@ class StudyRun:
                 if isinstance(error, BrokenExecutor):
                     self._restart_workers(pool, error)
                 return
-            raise StudyError(self.store.folder, explain_loss(error)) from error
+            raise StudyError(self.store.folder, explain_worker_loss(error)) from error
         self.progress.work += outcome.seconds
         self.progress.processor_time += outcome.processor_seconds
         self._store_rows(outcome.rows)

@@ -19,7 +19,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
     States,
-    affordable_states,
+    count_affordable_states,
     random_states,
 )
 from pupper_analysis.robot.coordinates import PinocchioConvention
@@ -179,8 +179,8 @@ def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
         nv = 2006
 
     large = Large()
-    assert (affordable_states(robot, 10**5), list(list_size_notes(robot, 20))) == (10**5, [])
-    assert [affordable_states(large, count) for count in (20, 1)] == [2, 1]  # type: ignore[arg-type]
+    assert (count_affordable_states(robot, 10**5), list(list_size_notes(robot, 20))) == (10**5, [])
+    assert [count_affordable_states(large, count) for count in (20, 1)] == [2, 1]  # type: ignore[arg-type]
     notes = list(map(str, list_size_notes(large, 20)))  # type: ignore[arg-type]
     assert "2 of 20 states" in notes[0]
 

@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.efforts import JointEffort, null_efforts, placeholder_efforts
+from pupper_analysis.models.efforts import JointEffort, find_null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.sides import strip_sides
@@ -376,7 +376,7 @@ def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
     MuJoCo ignores force ranges, and control ranges of torque motors, from 0 to 0.
     """
     if isinstance(robot, MjcfModel):
-        for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
+        for name, empty in find_null_efforts(robot.file).items() if robot.refusal is None else ():
             if empty.stated == (0.0, 0.0) and empty.attribute != "gear":  # actuator-without-effect
                 yield _make_zero_finding(robot, name, [Term(empty.attribute)])
         return
