@@ -342,7 +342,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
     """
     if _make_type_test(hint)(value):
         return
-    options = _union_members(hint)
+    options = _list_union_members(hint)
     wanted = [_describe_type(option) for option in options]
     given = " ".join(reprlib.repr(value).split())
     names = [getattr(option, "__name__", "") for option in options]
@@ -412,7 +412,7 @@ _BOOLEAN_TYPES = (bool, np.bool_)
 """Types of Booleans. Arguments that require a number reject values of these types."""
 
 
-def _union_members(hint: Any) -> tuple[Any, ...]:
+def _list_union_members(hint: Any) -> tuple[Any, ...]:
     """Return the members of a union type; for a type that is no union, only the type itself."""
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     return typing.get_args(hint) if union else (hint,)
@@ -421,7 +421,7 @@ def _union_members(hint: Any) -> tuple[Any, ...]:
 @cache
 def _make_type_test(hint: Any) -> Callable[[Any], bool]:
     """Return a function that tests whether a value has a type; it accepts any if unsupported."""
-    options = _union_members(hint)
+    options = _list_union_members(hint)
     if len(options) > 1:
         if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
             # Members of the enum may be given by name; the function that looks up the name checks.
@@ -494,7 +494,7 @@ def _describe_type(option: Any) -> Diagnostic | Term:
     kind, inner = typing.get_origin(option), typing.get_args(option)
     name = getattr(option, "__name__", str(option))
     if kind in (Sequence, Iterable):
-        names = [_describe_type(inside) for inside in _union_members(inner[0])]
+        names = [_describe_type(inside) for inside in _list_union_members(inner[0])]
         return diagnose("sequence-of", each=names)
     if kind is Mapping:
         return Term("a mapping of names")

@@ -31,7 +31,7 @@ class _MuJoCoLoader(SourceFileLoader):
         except ImportError:
             raise
         except Exception:  # unknown backend names and drivers raise different exceptions
-            with _disabled_opengl():
+            with _disable_opengl():
                 super().exec_module(module)
 
 
@@ -71,12 +71,12 @@ def import_without_opengl() -> None:
     By default, MuJoCo loads GLFW, which starts a process while loading. MUJOCO_GL has the old value
     afterwards, because ``present.pictures`` starts a process that renders with this value.
     """
-    with _disabled_opengl():
+    with _disable_opengl():
         import_module("mujoco")
 
 
 @contextmanager
-def _disabled_opengl() -> Iterator[None]:
+def _disable_opengl() -> Iterator[None]:
     """Disable MuJoCo's OpenGL in a ``with`` block, by the environment variable MUJOCO_GL."""
     previous = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"

@@ -32,7 +32,7 @@ from pupper_analysis.base.runs import current_run, is_command_line
 
 
 @cache
-def _machine_hash() -> str:
+def _compute_machine_hash() -> str:
     """Return a hash of the host name and the process-ID namespace (eight hexadecimal digits).
 
     A process ID is unique only on one host and in one namespace.
@@ -45,7 +45,7 @@ def _machine_hash() -> str:
 
 def hidden_token() -> str:
     """Return the unique part of a temporary file name: machine, process and random number."""
-    return f"pupper-{_machine_hash()}-{os.getpid():x}-{secrets.token_hex(4)}"
+    return f"pupper-{_compute_machine_hash()}-{os.getpid():x}-{secrets.token_hex(4)}"
 
 
 _TEMPORARY_NAME: Final = re.compile(r"\..*pupper-([0-9a-f]{8})-([0-9a-f]+)-[0-9a-f]{8}\.\w+")
@@ -85,7 +85,7 @@ def remove_stale_files(folder: Path) -> None:
             if match is None:
                 continue
             with suppress(OSError):
-                ended = match[1] == _machine_hash() and not _is_running(int(match[2], 16))
+                ended = match[1] == _compute_machine_hash() and not _is_running(int(match[2], 16))
                 # Not the modification time: a second name of an old file has that of the file.
                 changed = entry.stat(follow_symlinks=False).st_ctime
                 if ended or time.time() - changed > MAX_TEMPORARY_AGE:
@@ -266,7 +266,7 @@ def is_replaceable(status: os.stat_result) -> bool:
     """Return True if a rename may replace a file: regular, and not standard output or error."""
     if not stat.S_ISREG(status.st_mode):
         return False
-    return _standard_stream(status) is None
+    return _find_standard_stream(status) is None
 
 
 @contextmanager
@@ -306,7 +306,7 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
         return target, None
 
 
-def _standard_stream(status: os.stat_result) -> int | None:
+def _find_standard_stream(status: os.stat_result) -> int | None:
     """Return the standard stream that is redirected to a file: 1 (output), 2 (error) or None.
 
     ``status`` is the status of the file.
@@ -332,7 +332,7 @@ def _write_output(writing: Writing) -> None:
         write_all([writing])
         return
     _check_replaceable(path, target, status, writing.kind, force=writing.force)
-    number = _standard_stream(status)
+    number = _find_standard_stream(status)
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     # Without O_CREAT: a device or pipe that was removed meanwhile must not become a regular file.

@@ -228,11 +228,11 @@ def format_value(value: object, unit: str | Mapping[str, str] = "") -> str:
     if isinstance(value, str | int | np.integer):
         return escape(str(value))
     if isinstance(value, np.ndarray):
-        return _array_html(value)
+        return _make_array_html(value)
     if isinstance(value, Mapping):
         return _lines_html([_format_entry(name, item, unit) for name, item in value.items()])
     if isinstance(value, Sequence):
-        return _sequence_html(value, unit if isinstance(unit, str) else "")
+        return _make_sequence_html(value, unit if isinstance(unit, str) else "")
     if is_dataclass(value) and type(value).__str__ is object.__str__:
         return escape(_summarise_dataclass(value, unit if isinstance(unit, str) else ""))
     return escape(_summarise(value))
@@ -280,7 +280,7 @@ def _number_text(value: float) -> str:
     return format_number(value, NUMBER_FORMAT)
 
 
-def _array_html(values: np.ndarray[Any, Any]) -> str:
+def _make_array_html(values: np.ndarray[Any, Any]) -> str:
     """Return the HTML of an array: numbers of a short vector, else shape, minimum and maximum.
 
     Arrays without real numbers have no minimum and maximum.
@@ -301,7 +301,7 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
     return escape(f"array of {shape}, {low} to {high}{f', {missing} nan' if missing else ''}")
 
 
-def _sequence_html(values: Sequence[object], unit: str = "") -> str:
+def _make_sequence_html(values: Sequence[object], unit: str = "") -> str:
     """Return the HTML of a sequence: a line per item; short simple sequences on a single line.
 
     At most `MAX_SHOWN_ROWS` lines with items are shown.
