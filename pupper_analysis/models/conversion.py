@@ -63,7 +63,7 @@ class MujocoTree:
         """Compile a model with the structure of a multibody tree, and copy its parameters."""
         self.base = "__world__" if parameters.base == "world" else parameters.base
         self.model = _compile_structure(parameters, self.base)
-        self._structure = _structure_key(parameters)
+        self._structure = _make_structure_key(parameters)
         self._base = int(self.model.body(self.base).id)
         self._joints = {name: self.model.joint(name).id for name in parameters.joints}
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
@@ -73,7 +73,7 @@ class MujocoTree:
 
     def has_structure_of(self, parameters: MultibodyTree) -> bool:
         """Return True if a tree has the structure of this model, as `copy_parameters` requires."""
-        return self._structure == _structure_key(parameters)
+        return self._structure == _make_structure_key(parameters)
 
     def copy_parameters(self, parameters: MultibodyTree) -> None:
         """Copy the parameters of a tree, such as masses and axes, into the model, in place.
@@ -106,7 +106,7 @@ def _select_changed(values: Mapping[str, _T], previous: Mapping[str, _T]) -> dic
     return {name: value for name, value in values.items() if value is not previous.get(name)}
 
 
-def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
+def _make_structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
     """Return a comparison key of a tree's structure: names, parents and joint types, no numbers."""
     joints = tuple((name, joint.parent, joint.slides) for name, joint in parameters.joints.items())
     frames = tuple((name, owner) for name, (owner, _) in parameters.frames.items())
