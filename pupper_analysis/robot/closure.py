@@ -112,7 +112,7 @@ class Closure:
         self._is_used: NDArray[np.bool_] | None = None
         self._rank = len(joint_names)
         self._reference_qpos = self._find_closed_start()
-        rows = self._generic_jacobian()
+        rows = self._compute_generic_jacobian()
         used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _RANK_RTOL)
         self.dependent_joints = self._select_dependent_joints(rows, used)
         self.driving_joints = np.setdiff1d(used, self.dependent_joints)
@@ -428,7 +428,7 @@ class Closure:
         closed = self._close_by_newton(starts[0], np.ones(len(self._joint_names)), None)
         return starts[0] if closed is None else closed
 
-    def _generic_jacobian(self) -> Array:
+    def _compute_generic_jacobian(self) -> Array:
         """Return the constraint Jacobian (m, nu) at a generic pose, and set ``is_world_coupled``.
 
         The joint positions are random and near the reference configuration, so that no straight leg

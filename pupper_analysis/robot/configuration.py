@@ -458,7 +458,7 @@ class Configuration(Pictured):
         moving = pin.computeCentroidalMap(self._model, workspace.data, self._q)
         momentum = np.array(self._structure.sort_columns(moving))
         if self._structure.fixed:  # Pinocchio's CoM does not include fixed mass
-            momentum[3:] += pin.skew(self._moving_com_offset()) @ momentum[:3]
+            momentum[3:] += pin.skew(self._compute_moving_com_offset()) @ momentum[:3]
         return momentum
 
     def centroidal_map_time_variation(self) -> Array:
@@ -480,7 +480,7 @@ class Configuration(Pictured):
         momentum = self._structure.sort_columns(np.array(data.Ag))
         variation[3:] -= pin.skew(self.com_jacobian() @ self.qvel) @ momentum[:3]
         if self._structure.fixed:
-            variation[3:] += pin.skew(self._moving_com_offset()) @ variation[:3]
+            variation[3:] += pin.skew(self._compute_moving_com_offset()) @ variation[:3]
         return variation
 
     def _massless_centroidal_map(self) -> Array:
@@ -489,7 +489,7 @@ class Configuration(Pictured):
         for joint in range(1, self._model.njoints):
             turning = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL_WORLD_ALIGNED)
             angular = self._structure.sort_columns(turning)[3:]
-            momentum[3:] += self._world_inertia(joint) @ angular
+            momentum[3:] += self._compute_world_inertia(joint) @ angular
         return momentum
 
     def _massless_centroidal_map_variation(self) -> Array:
@@ -508,17 +508,17 @@ class Configuration(Pictured):
                 pin.getJointJacobianTimeVariation(self._model, data, joint, frame),
             )
             angular, change = (self._structure.sort_columns(matrix)[3:] for matrix in matrices)
-            inertia, spin = self._world_inertia(joint), pin.skew(angular @ self.qvel)
+            inertia, spin = self._compute_world_inertia(joint), pin.skew(angular @ self.qvel)
             variation[3:] += (spin @ inertia - inertia @ spin) @ angular + inertia @ change
         return variation
 
-    def _world_inertia(self, joint: int) -> Array:
+    def _compute_world_inertia(self, joint: int) -> Array:
         """Return the inertia (3, 3) [kg m^2] of a joint's body about its CoM, in world axes."""
         rotation = self._data.oMi[joint].rotation
         inertia: Array = rotation @ self._model.inertias[joint].inertia @ rotation.T
         return inertia
 
-    def _moving_com_offset(self) -> Array:
+    def _compute_moving_com_offset(self) -> Array:
         """Return the vector (3,) [m] from the CoM to the CoM without a fixed base, in the world."""
         fixed, lever = self._structure.fixed, self._structure.lever
         offset: Array = fixed / (1 - fixed) * (self.center_of_mass() - lever)

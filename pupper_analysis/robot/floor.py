@@ -159,7 +159,7 @@ def _level_floor(
     if level_index is not None:
         floors.insert(0, floors.pop(level_index))
         return floors[0], []
-    cosines, heights = _compiled_planes(spec, floors)
+    cosines, heights = _list_compiled_planes(spec, floors)
     level = [1 - cosine < _LEVEL_ATOL for cosine in cosines]
     chosen = level.index(True) if any(level) else 0
     floors.insert(0, floors.pop(chosen))
@@ -180,7 +180,7 @@ def _level_floor(
     return new, [note] if tilted or raised else []
 
 
-def _compiled_planes(
+def _list_compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
     """Return the cosines of the tilts, and the heights [m], of planes in the compiled model."""

@@ -144,7 +144,8 @@ class EqualityCompliance:
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:
             compliance[rows] *= max(
-                _compliance_factor(solimp, 0.0), _compliance_factor(solimp, solimp[2])
+                _compute_compliance_factor(solimp, 0.0),
+                _compute_compliance_factor(solimp, solimp[2]),
             )
         return compliance
 
@@ -156,7 +157,7 @@ class EqualityCompliance:
         """
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:
-            openings[rows] *= _compliance_factor(
+            openings[rows] *= _compute_compliance_factor(
                 solimp, _solve_violation(solimp, float(np.linalg.norm(openings[rows])))
             )
         return openings
@@ -168,10 +169,12 @@ def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     d is the impedance. ``force`` is the constraint force times the compliance for (1 - d) / d^2 =
     1, so that its unit is m or rad.
     """
-    low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
+    low, high = (
+        force * _compute_compliance_factor(solimp, opening) for opening in (0.0, solimp[2])
+    )
     if low < high:
         for _ in range(_MAX_ITERATIONS):
-            previous, low = low, force * _compliance_factor(solimp, low)
+            previous, low = low, force * _compute_compliance_factor(solimp, low)
             if low - previous <= _VIOLATION_RTOL * low:
                 break
         return low
@@ -180,12 +183,12 @@ def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     low, high = high, low
     for _ in range(_NUM_BISECTIONS):
         middle = (low + high) / 2
-        exceeds_solution = middle > force * _compliance_factor(solimp, middle)
+        exceeds_solution = middle > force * _compute_compliance_factor(solimp, middle)
         low, high = (low, middle) if exceeds_solution else (middle, high)
     return (low + high) / 2
 
 
-def _compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
+def _compute_compliance_factor(solimp: tuple[float, ...], violation: float) -> float:
     """Return the factor (1 - d) / d^2 of compliance; d is the impedance at a violation [m, rad]."""
     d, _ = solimp_impedance(solimp, violation)
     return (1 - d) / d**2

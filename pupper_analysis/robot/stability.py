@@ -572,7 +572,7 @@ class _Modes:
         # A mode that decays within a step is no oscillation.
         decaying = single & ~self._grows & ~self._drifts & (self._growth > -1 + _EIGENVALUE_ERROR)
         swinging = np.flatnonzero(decaying & (np.abs(np.angle(self._values)) > _EIGENVALUE_ERROR))
-        damped = [self._damping_ratio(mode) for mode in swinging.tolist()]
+        damped = [self._compute_damping_ratio(mode) for mode in swinging.tolist()]
         return Stability(
             timestep=float(model.opt.timestep),
             radius=1 + float(self._growth.max(initial=-1.0)),
@@ -582,7 +582,7 @@ class _Modes:
             uses_noslip_solver=bool(model.opt.noslip_iterations > 0),
         )
 
-    def _damping_ratio(self, mode: int) -> float:
+    def _compute_damping_ratio(self, mode: int) -> float:
         """Return the damping ratio -Re(s) / abs(s) of a mode index, with s = ln(eigenvalue)."""
         exponent = np.log(self._values[mode])
         return float(-exponent.real / abs(exponent))
@@ -595,14 +595,14 @@ class _Modes:
         return Mode(
             growth=growth,
             frequency=abs(float(np.angle(value))) / (2 * math.pi * timestep),
-            damping_ratio=self._damping_ratio(mode),
+            damping_ratio=self._compute_damping_ratio(mode),
             time_constant=constant,
             doubling_time=math.log(2) * constant if self._grows[mode] else None,
             joints=select_most_moving(self._joint_motions(mode)),
-            _direction=self._mode_direction(mode),
+            _direction=self._compute_mode_direction(mode),
         )
 
-    def _mode_direction(self, mode: int) -> Array:
+    def _compute_mode_direction(self, mode: int) -> Array:
         """Return the real part of eigenvector / largest position entry, shape (2 nv + na,)."""
         vector = self._vectors[:, mode]
         largest = vector[int(np.abs(vector[: self._model.nv]).argmax())] if self._model.nv else 1.0

@@ -232,7 +232,7 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         placement = carrier.placement * pin.SE3(np.eye(3), tool.offset)
         parent = carrier.parentJoint
         model.addFrame(pin.Frame(frame, parent, 0, placement, pin.FrameType.BODY), False)
-        radius = touching.radius or _inscribed_radius(robot, tool)
+        radius = touching.radius or _measure_inscribed_radius(robot, tool)
         size = Quantity(radius, "m")
         reason = diagnose("hand-touches-by-ball", name=name, radius=size)
         notes += [] if touching.is_fixed else [reason]
@@ -267,7 +267,7 @@ _DEFAULT_BALL_RADIUS = 1e-2
 hand. Chosen, not tuned."""
 
 
-def _inscribed_radius(robot: Robot, tool: Tool) -> float:
+def _measure_inscribed_radius(robot: Robot, tool: Tool) -> float:
     """Return the radius [m] of the largest sphere around a point that fits into a collision shape.
 
     Shapes of the links that move with the point are examined. If the point is not deeper than

@@ -552,7 +552,7 @@ def compare_files(
         causes=causes,
         deviations=explanation.deviations,
         residual=explanation.residual,
-        explained=_explained_fraction(explanation),
+        explained=_compute_explained_fraction(explanation),
         complete=explanation.complete,
         mount=mount,
         objections=objections,
@@ -729,7 +729,7 @@ def _add_places(
         )
 
 
-def _explained_fraction(explanation: Explanation) -> float:
+def _compute_explained_fraction(explanation: Explanation) -> float:
     """Return the fraction (0 to 1) of the largest deviation that the differences explain."""
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)

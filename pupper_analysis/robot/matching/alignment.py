@@ -152,7 +152,9 @@ def measure_joint_deviation(
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):
         if second.joints[child].parent == name:
-            total += _placement_bits(first.joints[child], second.joints[child], tolerances)
+            total += _measure_placement_deviation(
+                first.joints[child], second.joints[child], tolerances
+            )
     return total
 
 
@@ -176,7 +178,7 @@ def _joint_bits(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
     """Return the deviation of a joint, its body and its frames between two trees, in bits."""
-    total = _placement_bits(first.joints[name], second.joints[name], tolerances)
+    total = _measure_placement_deviation(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
         angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
     )
@@ -208,7 +210,9 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
     return total + measure_deviation_bits(relative_deviation, tolerances.inertia)
 
 
-def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances) -> float:
+def _measure_placement_deviation(
+    first: TreeJoint, second: TreeJoint, tolerances: Tolerances
+) -> float:
     """Return the deviation of position and rotation between two joint frames, in bits."""
     distance = float(np.linalg.norm(second.position - first.position))
     angle = float(np.linalg.norm(pin.log3(first.rotation.T @ second.rotation)))
@@ -238,7 +242,7 @@ def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str)
         yield pin.exp3(-offset * first_joint.axis) @ full
 
 
-def _matching_points(
+def _list_matching_points(
     first: MultibodyTree, second: MultibodyTree, name: str
 ) -> Iterator[tuple[Array, Array]]:
     """Yield points (3,) [m] of a body in both trees, in its body frames: CoM, joints, frames."""
@@ -277,7 +281,7 @@ def _candidate_steps(
     median_offset = np.median(
         [
             other_position - position
-            for position, other_position in _matching_points(first, second, name)
+            for position, other_position in _list_matching_points(first, second, name)
         ],
         axis=0,
     )
