@@ -222,7 +222,7 @@ class ClearanceShapes:
         """Return the ``most`` nearest of given index pairs (n, 2) of shapes, nearest first."""
         solids, at = (
             [shape.form.collision for shape in self.shapes],
-            self._shape_poses(self.move_to(qpos)),
+            self._list_shape_poses(self.move_to(qpos)),
         )
         centres = np.array(
             [pose.transform(solid.aabb_center) for pose, solid in zip(at, solids, strict=True)]
@@ -240,7 +240,7 @@ class ClearanceShapes:
             bisect.insort(nearest, SolidPair(a, b, near), key=lambda pair: pair.distance)
         return nearest[:most]
 
-    def _shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
+    def _list_shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
         """Return the pose of each collision shape in the world frame, for the link poses ``at``."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
@@ -373,7 +373,7 @@ class ClearanceShapes:
 
         For shapes on the joint of a hand, the surface that this hand touches is ignored.
         """
-        where = self._shape_poses(at)
+        where = self._list_shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_ABSENT_FLOOR_DEPTH)
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", floor, coal.Transform3s())

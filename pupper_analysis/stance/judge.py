@@ -246,12 +246,12 @@ class Stand(Pictured, Tabular):
                     distance=Quantity(abs(self.com_margin), "m"),
                 )
             )
-        for near, least in self._clearances():
+        for near, least in self._list_clearances():
             if near.distance < least - CLEARANCE_TOLERANCE:
                 violations.append(_describe_clearance(near, self.task.ground))
         return tuple(violations)
 
-    def _clearances(self) -> Iterator[tuple[Clearance, float]]:
+    def _list_clearances(self) -> Iterator[tuple[Clearance, float]]:
         """Yield (measured clearance, required minimum [m]): to the ground, between links."""
         if self.ground_clearance is not None:
             yield self.ground_clearance, self.task.ground_clearance
@@ -272,7 +272,7 @@ class Stand(Pictured, Tabular):
     @property
     def constraint_slack(self) -> float:
         """Smallest excess of CoM margin and clearances over required values [m], at most 0."""
-        slacks = (near.distance - least for near, least in self._clearances())
+        slacks = (near.distance - least for near, least in self._list_clearances())
         return min([-self.com_shortfall, *slacks])
 
     @property

@@ -285,7 +285,7 @@ class AxisAlignTask(PostureTask):
         """Names of the links that this posture task refers to."""
         return (self.frame,)
 
-    def _required_direction(self, body: WholeBody) -> Array:
+    def _compute_required_direction(self, body: WholeBody) -> Array:
         """Return the required direction of the link's axis, unit vector (3,) in world axes."""
         if self.point is None:
             return np.asarray(self.direction)
@@ -297,7 +297,7 @@ class AxisAlignTask(PostureTask):
     def residual(self, body: WholeBody) -> float:
         """Return the angle [rad] between the axis of the link and its required direction."""
         axis = body.pose(self.frame)[0] @ np.asarray(self.axis)
-        required = self._required_direction(body)
+        required = self._compute_required_direction(body)
         return float(np.arctan2(np.linalg.norm(np.cross(axis, required)), axis @ required))
 
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
@@ -310,7 +310,7 @@ class AxisAlignTask(PostureTask):
 
         def update(body: WholeBody) -> None:
             """Set the target direction of PlaCo's task at the configuration of ``body``."""
-            task.targetAxis_world = self._required_direction(body)
+            task.targetAxis_world = self._compute_required_direction(body)
 
         return PlacoTask(task, update)
 
@@ -369,9 +369,9 @@ class SelfClearanceTask(PostureTask):
 
     def residual(self, body: WholeBody) -> float:
         """Return the required minus the smallest distance between links [m], at least 0."""
-        return self._shortfall(body.self_clearances())
+        return self._compute_shortfall(body.self_clearances())
 
-    def _shortfall(self, distances: Array) -> float:
+    def _compute_shortfall(self, distances: Array) -> float:
         """Return the required ``distance`` minus the smallest of ascending distances [m], or 0."""
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
@@ -394,7 +394,7 @@ class SelfClearanceTask(PostureTask):
             # distance + derivative (q' - q) >= required distance
             constraint.A = -derivatives
             constraint.b = distances - self.distance - derivatives @ q
-            measured.residual = self._shortfall(distances)
+            measured.residual = self._compute_shortfall(distances)
 
         return PlacoTask(measured, update)
 

@@ -232,7 +232,7 @@ class StanceProgram:
             _SOLVE_ITERATIONS[relaxable],
             progress,
         )
-        numbers, values = self._numbers, self._requirement_values(x)
+        numbers, values = self._numbers, self._compute_requirement_values(x)
         given = dict.fromkeys(self._requirements, 0.0)
         slacks = np.abs(values - numbers.values) / numbers.units
         for requirement, slack in zip(numbers.requirements, slacks.tolist(), strict=True):
@@ -341,7 +341,7 @@ class StanceProgram:
         start: Array = np.clip(np.concatenate(parts), self._low, self._high)
         return start
 
-    def _requirement_values(self, x: Array) -> Array:
+    def _compute_requirement_values(self, x: Array) -> Array:
         """Convert the variables ``x`` (v,) to the relaxed values of the task, (n,) [m, rad]."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
         numbers = self._numbers
@@ -349,7 +349,7 @@ class StanceProgram:
 
     def _evaluate(self, x: Array) -> _Point:
         """Compute targets, configuration and constraint residuals at the variables ``x`` (v,)."""
-        targets = self._compute_targets(self._requirement_values(x), self._targets)
+        targets = self._compute_targets(self._compute_requirement_values(x), self._targets)
         qpos = np.empty(self._robot.nq)
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], targets.height, targets.base_quaternion
         qpos[7:] = x[2 : 2 + self._robot.nu]
@@ -393,7 +393,7 @@ class StanceProgram:
         Derivatives by robot motion are analytic, those by relaxable values partly difference
         quotients.
         """
-        there, values = self._point(x), self._requirement_values(x)
+        there, values = self._point(x), self._compute_requirement_values(x)
         config = self._configuration(x)
         rates = [c.jacobian(there.targets, config) for c in self._constraints]
         at = self._shapes.move_to(there.qpos)

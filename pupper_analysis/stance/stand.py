@@ -263,9 +263,11 @@ def _continue_sequence(
     ahead = weights[0] * last
     for weight, qpos in zip(weights[1:], before[1:], strict=True):
         ahead += weight * qpos
-    for start in (ahead, last) if _joint_distance(ahead, last) < _MAX_JOINT_DISTANCE else (last,):
+    for start in (
+        (ahead, last) if _measure_joint_distance(ahead, last) < _MAX_JOINT_DISTANCE else (last,)
+    ):
         stand = search_from_configuration(context, targets, start)
-        if stand is not None and _joint_distance(stand.qpos, last) < _MAX_JOINT_DISTANCE:
+        if stand is not None and _measure_joint_distance(stand.qpos, last) < _MAX_JOINT_DISTANCE:
             return stand
     return None
 
@@ -276,7 +278,7 @@ def _depends_on_start(targets: StandTargets) -> bool:
     return task.ik_seed is not None or task.self_clearance is not None or targets.com_is_free
 
 
-def _joint_distance(one: Array, other: Array) -> float:
+def _measure_joint_distance(one: Array, other: Array) -> float:
     """Return the norm of the joint displacement between two configurations, (nq,) each [rad, m]."""
     between = (one - other)[7:]
     return math.sqrt(between.dot(between))

@@ -500,7 +500,7 @@ class SagEquilibrium:
                 [self.creep_start_slips.get(foot, _ZERO_SLIP) for foot in self.anchors]
             )
             places[:, :2] = self.project_soles(places[:, :2] - begun.reshape(-1, 2))
-            places[:, :2] += self._slip_compliances()[:, None] * forces[:, :2]
+            places[:, :2] += self._compute_slip_compliances()[:, None] * forces[:, :2]
         return places
 
     def project_soles(self, slips: Array) -> Array:
@@ -612,7 +612,9 @@ class SagEquilibrium:
         else:
             rates[:, :2] = self.project_soles(rates[:, :2])
         diagonal = np.zeros((size, 3))
-        diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._slip_compliances()[:, None]
+        diagonal[:, :2] = (
+            1.0 if self.feet == "sliding" else self._compute_slip_compliances()[:, None]
+        )
         diagonal[:, 2] = [
             -1 / self.laws[foot].normal_stiffness(depth)
             for foot, depth in zip(
@@ -644,7 +646,7 @@ class SagEquilibrium:
             by_force[tangents, 3 * row + 2] = -mu * along
         return whole
 
-    def _slip_compliances(self) -> Array:
+    def _compute_slip_compliances(self) -> Array:
         """Return slip per tangential force of the n touching contacts, shape (n,) [m/N]."""
         return np.array(
             [

@@ -301,7 +301,7 @@ class HomotopyPath:
                         # Coupled joints have kp = 0.
                         kp=Quantity(self.system.kp[self.system.kp > 0].min(), "N m/rad"),
                         share=self.share,
-                        sliding=self._feet_about_to_slide(),
+                        sliding=self._find_feet_about_to_slide(),
                     ),
                 )
 
@@ -372,7 +372,7 @@ class HomotopyPath:
         self.share = 1.0
         self._set_command(1.0)
 
-    def _feet_about_to_slide(self) -> list[str]:
+    def _find_feet_about_to_slide(self) -> list[str]:
         """Find the contact points whose tangential force is close to the friction limit.
 
         A point without friction is never close to its limit: its tangential force is zero.
