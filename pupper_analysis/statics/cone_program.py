@@ -354,7 +354,7 @@ class Balance:
         excess += [math.hypot(*force) - limit for force, limit in pairs]
         return _nan_or_max(excess)
 
-    def _cone_rows(self, friction: Array) -> Array:
+    def _make_cone_rows(self, friction: Array) -> Array:
         """Create the matrix (4 n + 4 g, size) of the second-order cones of n contacts and g grips.
 
         The product with forces (size,) is (mu f_n, t_x, t_y, t_z) for a contact, up to a positive
@@ -441,7 +441,7 @@ class Balance:
         found.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
-        rows = self._cone_rows(friction)
+        rows = self._make_cone_rows(friction)
         constants = np.zeros(len(rows))
         constants[4 * len(self.normals) :: 4] = self.grips * (1 - _CONE_MARGIN)
         matrix, right = [-rows @ free], [(rows @ particular + constants) / scale]

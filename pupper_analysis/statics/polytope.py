@@ -118,10 +118,10 @@ class ForcePolytope(Tabular):
         unit = check_direction("direction", direction)
         if not self.joints:
             return float("inf"), -1
-        forces, limiting = force_limits_along(*self._inequalities(), unit[None])
+        forces, limiting = force_limits_along(*self._make_inequalities(), unit[None])
         return float(forces[0]), int(limiting[0])
 
-    def _inequalities(self) -> tuple[Array, Array]:
+    def _make_inequalities(self) -> tuple[Array, Array]:
         """Return rows (2 n, 3) and bounds (2 n,) of ``rows @ f <= bounds``, for a force f [N]."""
         slack = np.concatenate([self.limits + self.load, self.limits - self.load])
         return np.concatenate([self.rows, -self.rows]), slack

@@ -35,7 +35,7 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
         finite. Otherwise NaN without contact points.
     """
     x, y, *_ = com.tolist()
-    return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
+    return margin_of_position((x, y), tuple([_get_corner(point) for point in points.values()]))
 
 
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
@@ -61,7 +61,7 @@ def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
     return -float(polygon.distance(projection))
 
 
-def _corner(point: Array) -> Corner:
+def _get_corner(point: Array) -> Corner:
     """Return the coordinates (x, y) [m] of a position, shape (2,) or (3,) [m]."""
     x, y, *_ = point.tolist()
     return x, y
@@ -357,7 +357,7 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
         point (x, y), positive inside. If the polygon has fewer sides than ``count``, the last row
         is repeated.
     """
-    corners = [_corner(point) for point in contacts]
+    corners = [_get_corner(point) for point in contacts]
     sides = _hull_sides(tuple(corners))
     if from_first:
         sides = _start_at_first_corner(sides, corners)
@@ -394,7 +394,7 @@ def differentiate_side_distances(
         Shape (k, n); rows in the order of ``polygon_sides(contacts, from_first=True)``. If the
         polygon has fewer than k sides, the row of the last side is repeated.
     """
-    corners = [_corner(contact) for contact in contacts]
+    corners = [_get_corner(contact) for contact in contacts]
     sides = _start_at_first_corner(_hull_sides(tuple(corners)), corners)
     starts = np.array([corners.index((x, y)) for x, y, *_ in sides])
     ends = np.roll(starts, -1)
