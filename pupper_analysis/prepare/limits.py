@@ -168,11 +168,11 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
         attribute=origin.attribute,
         value=f"{high:g}" if origin.attribute in ("effort", "gear") else f"{low:g} {high:g}",
         negative=null[0].code is EffortCode.NEGATIVE,
-        **_proposed_limit_fields(robot, twin or _sibling_limit(robot, null)),
+        **_make_proposed_limit_fields(robot, twin or _sibling_limit(robot, null)),
     )
 
 
-def _proposed_limit_fields(
+def _make_proposed_limit_fields(
     robot: Robot, found: tuple[str, EffortStatement] | None
 ) -> dict[str, Any]:
     """Return the fields that propose an effort limit, for the message about a limit of zero.

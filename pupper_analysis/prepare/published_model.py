@@ -632,7 +632,7 @@ def simulate_published(
     ctrl, qpos, applied_forces = data.ctrl, data.qpos, data.qfrc_applied
     actuator_forces, gravcomp_forces = data.qfrc_actuator, data.qfrc_gravcomp
     # The damping is integrated implicitly, like that of MuJoCo's servos.
-    with _added_damping(model, dofs, kd), silence_mujoco():
+    with _add_temporary_damping(model, dofs, kd), silence_mujoco():
         num_unrecorded = 0 if len(dofs) else num_steps - num_recorded  # no control between steps
         for begin in range(0, num_unrecorded, _STEPS_PER_CHECK):
             if not was_reset_by_mujoco(data):
@@ -658,7 +658,9 @@ def simulate_published(
 
 
 @contextlib.contextmanager
-def _added_damping(model: mujoco.MjModel, dofs: NDArray[np.intp], kd: Array) -> Iterator[None]:
+def _add_temporary_damping(
+    model: mujoco.MjModel, dofs: NDArray[np.intp], kd: Array
+) -> Iterator[None]:
     """Add damping ``kd`` [N m s/rad, N s/m] to degrees of freedom of a model, within a context.
 
     ``dofs`` are indices in qvel. The original damping is restored at the end, also after an error.
