@@ -280,7 +280,7 @@ def _simulate_until_rest(
             return None
         if len(intervals) == intervals.maxlen:
             last_second = np.concatenate([states for states, _ in intervals])
-            height_ratio = _height_ratio(held, last_second)
+            height_ratio = _compute_height_ratio(held, last_second)
             displacements = np.mean([displacements for _, displacements in intervals], axis=0)
             displacement_ratios.append(_max_horizontal_norm(displacements) / MAX_FOOT_DISPLACEMENT)
             ratio = max(height_ratio, displacement_ratios[-1])
@@ -337,7 +337,7 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
     return ratios[-1] - _DISPLACEMENT_RATE_FACTOR * rate * remaining > 1.0
 
 
-def _height_ratio(held: StandStart, states: Array) -> float:
+def _compute_height_ratio(held: StandStart, states: Array) -> float:
     """Return the ratio [1] of the motion of the base height to the bounds for rest; 1 at a bound.
 
     ``states`` have the shape (n, size).

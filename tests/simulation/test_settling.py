@@ -149,7 +149,7 @@ def test_height_ratio_is_the_larger_share_of_its_two_bounds(
         states = np.tile(held.start, (500, 1))
         states[:, height] += wave * np.tile([1, -1, -1, 1], 125)
         states[:, height] += drift * np.linspace(0.0, duration, 500)
-        assert settling._height_ratio(held, states) == pytest.approx(expected, abs=1e-9)
+        assert settling._compute_height_ratio(held, states) == pytest.approx(expected, abs=1e-9)
 
 
 def test_norm_of_foot_displacements_is_horizontal() -> None:
