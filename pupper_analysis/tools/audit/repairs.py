@@ -1050,7 +1050,7 @@ def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
     if not candidates and len(own) == 1:
         visual = link.element.find("visual")
         meshes = [shape.find("geometry/mesh") for shape in (visual, *shapes)]
-        if shapes and all(m is not None for m in meshes) and _same_mesh(*meshes):
+        if shapes and all(m is not None for m in meshes) and _is_same_mesh(*meshes):
             _add_shape(candidates, robot, found.name, visual, diagnose("repair-of-visual"))
     yield from candidates.values()
 
@@ -1060,7 +1060,7 @@ def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
     return [re.sub(rb"\s+", b"", text) for text in texts]
 
 
-def _same_mesh(first: etree._Element, second: etree._Element) -> bool:
+def _is_same_mesh(first: etree._Element, second: etree._Element) -> bool:
     """Return True if two <mesh> elements have equal texts of ``scale`` and equal file stems."""
     stems = {Path(mesh.get("filename", "")).stem for mesh in (first, second)}
     return len(stems) == 1 and first.get("scale", "1 1 1") == second.get("scale", "1 1 1")

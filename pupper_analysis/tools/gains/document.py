@@ -294,7 +294,7 @@ def _make_class_table(study: GainStudy) -> doc.Table:
             doc.Column(text("gains-recommended"), damping),
         ),
         tuple(rows),
-        tuple(_class_notes(study)),
+        tuple(_list_column_notes(study)),
     )
 
 
@@ -308,7 +308,7 @@ def _reference_cells(study: GainStudy, gain: float) -> tuple[doc.Cell, ...]:
     return (doc.number_cell(gain, ".3g"),) if study.by_inertia else ()
 
 
-def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
+def _list_column_notes(study: GainStudy) -> Iterable[doc.Words]:
     """Yield the explanations of the columns of the table of joint classes."""
     if study.by_inertia:
         yield text("gains-note-reference")

@@ -530,7 +530,7 @@ def measure_gait(
         velocity=tracking.velocity,
         turning=tracking.turning,
         tracks=tracking.tracks,
-        torque_rms=_root_mean_square(known_torques),
+        torque_rms=_compute_root_mean_square(known_torques),
         torque_peak=np.abs(known_torques).max(axis=0),
         at_limit=np.where(np.isfinite(limits) & has_torques, saturated.mean(axis=0), np.nan),
         region_peak=regions.max(axis=0),
@@ -542,7 +542,7 @@ def measure_gait(
         transport=power / (robot.weight * speed) if speed > SPEED_ATOL else None,
         duty=duty,
         touching=touching,
-        static=_root_mean_square(np.array([sample.static for sample in samples]))
+        static=_compute_root_mean_square(np.array([sample.static for sample in samples]))
         if samples and not run.case.seed
         else None,
         roll=roll,
@@ -712,6 +712,6 @@ def _compute_static_torques(
     return torques
 
 
-def _root_mean_square(values: Array) -> Array:
+def _compute_root_mean_square(values: Array) -> Array:
     """Return the root mean square of each column, over the first axis of (n, nu) values."""
     return np.asarray(np.sqrt((values**2).mean(axis=0)))

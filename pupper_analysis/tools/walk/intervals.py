@@ -315,14 +315,14 @@ def make_changed_case(stage: Stage, name: str, value: float, command: Array, see
     quantity.apply(stage, model, value)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     lift = (
-        _lowest_foot_height(stage, stage.model) - _lowest_foot_height(stage, model)
+        _find_lowest_foot_height(stage, stage.model) - _find_lowest_foot_height(stage, model)
         if name == "legs"
         else 0.0
     )
     return Case(model, command, latency, seed, lift)
 
 
-def _lowest_foot_height(stage: Stage, model: mujoco.MjModel) -> float:
+def _find_lowest_foot_height(stage: Stage, model: mujoco.MjModel) -> float:
     """Return the height of the lowest foot geom's centre in the default pose [m]."""
     data = mujoco.MjData(model)
     stage.robot.mj_convention.set_state(data, stage.default)
