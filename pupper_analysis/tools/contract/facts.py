@@ -190,7 +190,7 @@ class ObservedTerm:
 
     @property
     def common_name(self) -> str:
-        """Name of this observation term of a policy, equal for the known training libraries."""
+        """Name of this observation term of a policy, common to the known training libraries."""
         return OBSERVATION_ALIASES.get(self.name, self.name)
 
 

@@ -214,9 +214,9 @@ not tuned."""
 
 
 def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
-    """Read a URDF; turn the COLLADA meshes to their up axis if several links fit only then.
+    """Read a URDF; turn the up axis of COLLADA meshes to z if several links fit only when turned.
 
-    A link fits if its shapes are close to the next joints.
+    A link fits if the shapes of the link are close to the next joints.
     """
     as_read = read_urdf_model(file)
     names = list_turned_links(file)
