@@ -300,6 +300,21 @@ def test_the_second_line_states_the_gains_with_their_bounds(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "words", [("stand", "v3", "--payload", "6.67kg"), ("hold", "v3", "--payload", "4.5kg")]
+)
+def test_first_line_with_a_long_verdict_names_the_joint(
+    capfd: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    """The line ended "= 50.1 % of the limit ...", without the joint that bears the load."""
+    status, out, err = run_command(capfd, *words)
+    assert status == 0, err
+    first = out.splitlines()[0]
+    assert re.search(r" = [\d.]+ % \(leg_(front|back)_[lr]_[123]\)$", first)
+    assert len(first) <= MAX_ANSWER_WIDTH
+
+
+@pytest.mark.slow
 def test_servos_below_the_least_stiffness_get_one_that_stands(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
