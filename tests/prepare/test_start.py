@@ -181,6 +181,31 @@ def test_joints_of_a_reversed_keyframe_beyond_their_limits_are_named(tmp_path: P
 
 
 @pytest.mark.slow
+def test_only_the_preferred_keyframe_beyond_the_limits_is_named(tmp_path: Path) -> None:
+    """A second keyframe such as "down" is no stand, and its joints are no fault of the file.
+
+    Reference: the joint positions of both keyframes, beyond the limits of the knees.
+    """
+    pair = standing(tmp_path)
+    poses = [" ".join([leg] * 4) for leg in ("0 0.6 -1.2", "0 -0.6 1.2", "0 1.5 -2.9")]
+    rewrite_file(pair.mjcf, (poses[0], poses[1]))
+    key = re.search(r"<key [^>]*/>", pair.mjcf.read_text())
+    assert key is not None
+    down = re.sub(r'name="\w+"', 'name="down"', key[0]).replace(poses[1], poses[2])
+    assert 'name="down"' in down
+    rewrite_file(pair.mjcf, (key[0], key[0] + down))
+    motors = re.sub(
+        r'<position ([^>]*?) kp="[^"]*" kv="[^"]*"', r"<motor \1", pair.mjcf.read_text()
+    )
+    pair.mjcf.write_text(motors)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    assert (model.key_qpos[:, 9::3][:, 0] > -0.4).tolist() == [True, False]
+    assert model.key_qpos[1, 9] < -2.6
+    notes = [note for note in pa.load_robot(*pair).notes if note.code == "keyframe-beyond-limits"]
+    assert [note.subject.name for note in notes if note.subject is not None] == ["home"]
+
+
+@pytest.mark.slow
 def test_a_keyframe_that_stands_but_has_no_level_stand_is_named(tmp_path: Path) -> None:
     """Reference: bare MuJoCo stands from the keyframe, whose knees are at their limits.
 
