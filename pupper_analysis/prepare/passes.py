@@ -56,6 +56,7 @@ from pupper_analysis.prepare.feet import (
     MAX_SHORT_LEG_HEIGHT_FRACTION,
     Foot,
     add_contact_frames,
+    count_joints_to_base,
     find_feet,
     find_named_foot,
     has_ellipsoids,
@@ -82,6 +83,7 @@ from pupper_analysis.prepare.start import (
     round_start_configuration,
 )
 from pupper_analysis.prepare.touching import copy_visual_option, discard_visuals
+from pupper_analysis.robot.alike import list_limbs
 from pupper_analysis.robot.build import build_robot, copy_metadata, with_additions
 from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.floor import level_ground
@@ -754,7 +756,7 @@ def _describe_missing_stand(draft: Draft) -> Diagnostic:
     """Create the message that a robot has no nominal stand (default `StandTask`)."""
     names = tuple(foot.name for foot in draft.feet)
     count = sum(len(foot.points) for foot in draft.feet)
-    if len(names) >= _MIN_STANDING_FEET:
+    if len(names) >= _MIN_STANDING_FEET or _are_soles_of_legs(draft):
         try:
             stand_statics(draft.robot, solve_stand(draft.robot, explain=False))
         except PupperAnalysisError as error:
@@ -763,6 +765,24 @@ def _describe_missing_stand(draft: Draft) -> Diagnostic:
         return diagnose("stands-on-too-few-points", feet=names, count=count)
     return diagnose("stands-on-no-feet")
 
+
+def _are_soles_of_legs(draft: Draft) -> bool:
+    """Return True if found feet with an area are at the ends of separate legs, as of a biped.
+
+    The fingers of a gripper share the joints of the arm, or have a single joint each.
+    """
+    if len(draft.feet) < 2 or sum(len(foot.points) for foot in draft.feet) < _MIN_POLYGON_POINTS:
+        return False
+    bodies = {foot.body for foot in draft.feet}
+    legs = [limb.bodies for limb in list_limbs(draft.robot) if limb.bodies[-1] in bodies]
+    shared = len({body for leg in legs for body in leg}) < sum(map(len, legs))
+    joints = [count_joints_to_base(draft.robot, body) for body in bodies]
+    return len(legs) == len(draft.feet) and not shared and min(joints) >= _MIN_LEG_JOINTS
+
+
+_MIN_LEG_JOINTS = 2
+"""Lower bound of the number of joints of a leg with a sole. A finger of a gripper has fewer.
+Chosen, not tuned."""
 
 _MIN_STANDING_FEET = 3
 """Lower bound of the number of found feet with which a note reports why the robot has no nominal

@@ -29,6 +29,7 @@ from tests.support.legged import (
     biped,
     fix_hinges,
     quadruped,
+    rewrite_file,
     shift_base_com,
     sole_mesh,
 )
@@ -370,3 +371,26 @@ def test_box_feet_of_a_quadruped_with_three_joints_per_leg_are_contact_points(
 ) -> None:
     foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
     assert len(load(quadruped(tmp_path, foot=foot)).contact_points) == 4
+
+
+@pytest.mark.slow
+def test_biped_with_soles_and_without_stand_is_told_why_it_cannot_stand(tmp_path: Path) -> None:
+    """The CoM is 2.4 m in front of the feet: no posture of legs of 0.7 m balances it.
+
+    The answer was that the robot has no feet.
+    """
+    urdf = biped(tmp_path).urdf
+    box = '<origin xyz="0.03 0 -0.05"/><geometry><box size="0.18 0.08 0.02"/></geometry>'
+    for side in ("left", "right"):
+        link = f'<link name="{side}_tilt_link">'
+        rewrite_file(urdf, (link, f"{link}<collision>{box}</collision>"))
+    assert pa.load_robot(urdf).floating
+    rewrite_file(urdf, ('<origin xyz="0.0 0.0 0.1"/><mass value="8.0"',
+                        '<origin xyz="3.0 0.0 0.1"/><mass value="8.0"'))  # fmt: skip
+    robot = pa.load_robot(urdf)
+    with pytest.raises(pa.errors.ConfigurationError) as caught:
+        pa.solve_stand(robot)
+    message = str(caught.value)
+    assert "no stand was found on left_tilt_link, right_tilt_link" in message
+    assert "--foot" in message
+    assert "no feet" not in message
