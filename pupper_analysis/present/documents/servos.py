@@ -54,7 +54,8 @@ def exceeds_explicit_damping(servos: DampingBound | None) -> bool:
 def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
     """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
-    If the gains of the joints differ, the bounds are factors on all gains.
+    If the gains of the joints differ, the bounds are factors on all gains. A lower bound equal to the
+    present gains is not printed: the estimate was larger, but the stand holds in simulation.
 
     Args:
         servos: Gains with bounds; None if unknown.
@@ -79,7 +80,8 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
         most=format_bound(most * kd, kd, upper=True) if most is not None and bounded else "",
         added=bool(used.made),
         low=low,
-        enough=least is not None and not low,
+        enough=least is not None and least < 1,
+        edge=least == 1,
         exceeded=over,
         within=bounded and not over,
         step=format_number(1e3 * servos.timestep, ".3g"),

@@ -73,6 +73,7 @@ def test_a_bound_of_zero_damping_is_exceeded(factor: float | None, exceeds: bool
     [
         (0.5, 1.5, "implicitfast", "kp 320 N m/rad (min 160), kd 16 N m s/rad (max 24)"),
         (2.0, 1.5, "implicitfast", "kp 320 N m/rad (below min 640), kd 16 N m s/rad (max 24)"),
+        (1.0, 1.5, "implicitfast", "kp 320 N m/rad (barely sufficient), kd 16 N m s/rad (max 24)"),
         (
             0.5,
             0.5,
