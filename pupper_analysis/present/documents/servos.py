@@ -54,8 +54,8 @@ def exceeds_explicit_damping(servos: DampingBound | None) -> bool:
 def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterable[doc.Words]:
     """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
-    If the gains of the joints differ, the bounds are factors on all gains. A lower bound equal to the
-    present gains is not printed: the estimate was larger, but the stand holds in simulation.
+    If the gains of the joints differ, the bounds are factors on all gains. A lower bound equal to
+    the present gains is not printed: the estimate was larger, but the stand holds in simulation.
 
     Args:
         servos: Gains with bounds; None if unknown.
