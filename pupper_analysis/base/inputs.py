@@ -119,6 +119,12 @@ def find_similar_files(path: Path) -> list[Path]:
     return [path.parent / name for name in similar]
 
 
+def name_files(one: str | Path, other: str | Path) -> tuple[str, str]:
+    """Return the names of two files without their folders; the paths if the names are equal."""
+    names = Path(one).name, Path(other).name
+    return names if names[0] != names[1] else (str(one), str(other))
+
+
 def is_input(path: Path) -> bool:
     """Return True if a path is an existing regular file; False for an invalid path, too."""
     try:

@@ -466,6 +466,7 @@ class Command(click.Command):
     def _add_command_to_model_error(self, context: click.Context, error: ModelError) -> ModelError:
         """Add the command line to run next, if any, to an error about a model."""
         from pupper_analysis.cli import next_step
+        from pupper_analysis.present.document import NextStep
 
         if error.cause.code in _ABSENT_MODEL_CODES:
             return next_step.correct_absent_model(error)
@@ -473,6 +474,8 @@ class Command(click.Command):
             error.add_note(next_step.complete_corrected_command(error))
         elif error.cause.code in MODEL_FAULT_CODES and self.name != "audit":
             error.add_note(next_step.complete_audit_command(error))
+        elif error.cause.code == "no-joint-paired":
+            error.add_note(next_step.complete_command(NextStep("audit")))
         elif error.cause.code == "no-such-file" and not error.cause.values.get("alike"):
             error.add_note(_complete_pair_command(context, error))
         return error
@@ -949,20 +952,29 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     from pupper_analysis.models.xml import parse_xml
     from pupper_analysis.pupper.named_robots import is_variant
 
-    tags = []
+    tags, joints = [], []
     for path in (one, other):
         if is_variant(path):
             tags.append("")
             continue
         try:
-            tags.append(parse_xml(find_file(path))[1].tag)
+            root = parse_xml(find_file(path))[1]
         except ModelError:
             return one, other
+        tags.append(root.tag)
+        joints.append({joint.get("name") for joint in root.iter("joint")} - {None})
     kinds_by_tag = {"robot": "URDF", "mujoco": "MJCF"}
     if tags[0] == tags[1] and tags[0] in kinds_by_tag:
         given, missing = kinds_by_tag[tags[0]], kinds_by_tag[{*kinds_by_tag}.difference(tags).pop()]
         problem = diagnose("both-of-one-format", given=given, missing=missing)
-        raise ConfigurationError(f"{one}, {other}", problem)
+        from pupper_analysis.base.inputs import name_files
+        from pupper_analysis.cli.next_step import complete_comparison_command
+
+        error = ConfigurationError(", ".join(name_files(one, other)), problem)
+
+        related = one != other and not joints[0].isdisjoint(joints[1])
+        error.add_note(complete_comparison_command(one, other, related=related))
+        raise error
     return (other, one) if tags[0] == "mujoco" or tags[1] == "robot" else (one, other)
 
 

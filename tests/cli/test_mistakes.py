@@ -10,6 +10,7 @@ import pytest
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.present.document import MAX_ANSWER_WIDTH
+from tests.support import arm
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -245,6 +246,42 @@ def test_error_of_a_missing_second_model_proposes_a_command(
     (tmp_path / "b.xml").write_text("<mujoco/>")
     error, step = answer(*arguments, folder=tmp_path).stderr.splitlines()
     assert message in error
+    assert step == f"  next: pupper-analysis {command}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "command"),
+    [
+        (("diff", "far/one.urdf", "far/arm.urdf"), "one.urdf: no common joint with arm.urdf; diff",
+         "audit far/one.urdf"),
+        (("diff", "far/arm.xml", "far/arm.urdf"), "arm.urdf: format differs from arm.xml;",
+         "crosscheck far/arm.xml far/arm.urdf"),
+        (("crosscheck", "far/one.urdf", "far/arm.urdf"),
+         "error: one.urdf, arm.urdf: both files are URDFs; one URDF and one MJCF are needed",
+         "audit far/one.urdf"),
+        (("crosscheck", "far/arm.urdf", "far/one.urdf", "--strict"), "error: arm.urdf, one.urdf: ",
+         "crosscheck far/arm.urdf far/arm.xml --strict"),
+        (("sync", "far/one.urdf", "far/two.urdf"), "one.urdf, two.urdf: both files are URDFs",
+         "diff far/one.urdf far/two.urdf"),
+        (("crosscheck", "far/one.urdf", "far/arm.xml"),
+         "error: one.urdf: no common joint with arm.xml; for other names of one robot: --map ",
+         "audit far/one.urdf"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_error_of_two_robots_or_formats_is_short_and_proposes_a_command(
+    arguments: tuple[str, ...], message: str, command: str, tmp_path: Path
+) -> None:
+    """The errors listed paths and joints in more than 400 characters, without a command."""
+    far = tmp_path / "far"
+    far.mkdir()
+    for name in ("one.urdf", "two.urdf"):
+        shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", far / name)
+    (far / "arm.urdf").write_text(arm.URDF)
+    (far / "arm.xml").write_text(arm.MJCF)
+    error, step = answer(*arguments, folder=tmp_path).stderr.splitlines()
+    assert message in error
+    assert len(error) <= MAX_ANSWER_WIDTH
     assert step == f"  next: pupper-analysis {command}"
 
 

@@ -19,6 +19,7 @@ from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import name_files
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.trees import list_joint_axes_at_zero, urdf_tree
@@ -77,8 +78,9 @@ def match_joints(
     }
     num_joints = min(len(urdf_joints), len(mjcf_joints))
     if not pairs and not choices:
-        problem = diagnose("no-joint-paired", other=files[1], urdf=urdf_joints, mjcf=mjcf_joints)
-        raise ModelError(files[0], problem)
+        urdf, mjcf = name_files(*files)
+        problem = diagnose("no-joint-paired", other=mjcf, urdf=urdf_joints, mjcf=mjcf_joints)
+        raise ModelError(urdf, problem)
     if (2 * len(pairs) < num_joints and len(pairs) > num_requested) or not pairs:
         partners = set(pairs.values())
         raise ModelError(

@@ -6,8 +6,27 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.next_step import complete_command
 from pupper_analysis.cli.shared import change_tolerances, fine_tolerance_option
+from pupper_analysis.present.document import NextStep
+from pupper_analysis.pupper.named_robots import is_variant
+
+
+def _propose_other_command(code: str, old: str, new: str) -> str:
+    """Return the command line after the refusal of a comparison; empty if there is none.
+
+    ``code`` is the code of the error: `crosscheck` compares two formats, and `audit` checks one of
+    two robots without a common joint. A revision in git is passed to no command.
+    """
+    words = [word for word in (old, new) if path_exists(word) or is_variant(word)]
+    if code == "formats-differ" and len(words) > 1:
+        return complete_command(NextStep("crosscheck", (old, new), robot_typed=False))
+    if code == "no-joint-in-common" and words:
+        return complete_command(NextStep("audit", (words[0],), robot_typed=False))
+    return ""
 
 
 @shared.command(
@@ -59,13 +78,17 @@ def command(
     tolerances = change_tolerances(Tolerances.strict(), changes)
     folders = shared.parse_packages(packages)
     with shared.show_progress("comparing both versions"):
-        result = diff_models(
-            old,
-            new,
-            packages=folders,
-            tolerances=tolerances,
-            xacro=xacro,
-            xacro_args=shared.parse_xacro_args(xacro_args),
-        )
+        try:
+            result = diff_models(
+                old,
+                new,
+                packages=folders,
+                tolerances=tolerances,
+                xacro=xacro,
+                xacro_args=shared.parse_xacro_args(xacro_args),
+            )
+        except ModelError as error:
+            error.add_note(_propose_other_command(error.cause.code, old, new))
+            raise
     shared.show_results([("", result)], style, everything=everything)
     shared.finish_command(json_path, result, passed=result.same)

@@ -21,6 +21,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import name_files
 from pupper_analysis.base.results import Result, Tabular, shorten_memory_paths
 from pupper_analysis.base.units import EFFORT_UNIT, select_joint_units
 from pupper_analysis.models.conversion import MujocoTree
@@ -273,13 +274,11 @@ class _Comparison:
             ModelError: If both versions have joints, but no joint in common.
         """
         if one.joints and two.joints and not self.pairs:
+            before, after = name_files(*(source.name for source in self.sources))
             message = diagnose(
-                "no-joint-in-common",
-                other=self.sources[0].name,
-                old=tuple(one.joints),
-                new=tuple(two.joints),
+                "no-joint-in-common", other=after, old=tuple(one.joints), new=tuple(two.joints)
             )
-            raise ModelError(self.sources[1].name, message)
+            raise ModelError(before, message)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]
         for joints, where, other in (
