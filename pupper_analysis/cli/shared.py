@@ -12,6 +12,7 @@ import copy
 import difflib
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -255,15 +256,22 @@ class Command(click.Command):
     Args:
         meanings: {name of an argument: meaning of the argument}, for the error about a missing
             argument.
+        examples: {required option: function that returns an example value from the typed values of
+            the parameters}, for the error about a missing option.
         *args: Arguments of ``click.Command``.
         **options: Keyword arguments of ``click.Command``.
     """
 
     def __init__(
-        self, *args: Any, meanings: Mapping[str, str] | None = None, **options: Any
+        self,
+        *args: Any,
+        meanings: Mapping[str, str] | None = None,
+        examples: Mapping[str, Callable[[Mapping[str, Any]], str]] | None = None,
+        **options: Any,
     ) -> None:
         super().__init__(*args, **options)
         self._meanings = meanings or {}
+        self._examples = examples or {}
         self._has_force = any(option.name == "force" for option in self.params)
         if self.outputs and not self._has_force:
             self.params.append(click.Option(["--force"], is_flag=True, help=FORCE_HELP))
@@ -299,9 +307,7 @@ class Command(click.Command):
             if isinstance(error.param, click.Argument):
                 raise self.make_missing_error(ctx, str(error.param.name)) from error
             if isinstance(error.param, click.Option):
-                name, meaning = error.param.opts[0], error.param.help or ""
-                missing = diagnose("option-missing", option=name, meaning=meaning.rstrip("."))
-                raise click.UsageError(str(missing), ctx) from error
+                raise self._make_missing_option_error(ctx, error.param) from error
             raise
         except click.BadParameter as error:
             if found := _INVALID_NUMBER.fullmatch(error.message):
@@ -398,7 +404,43 @@ class Command(click.Command):
             meaning=self._meanings.get(name, ""),
             usage=" ".join((ctx.command_path, *shown.values())),
         )
-        return click.UsageError(str(message), ctx)
+        error = click.UsageError(str(message), ctx)
+        if not ctx.meta.get(TYPED_WORDS):
+            error.add_note(self._make_example(name))
+        return error
+
+    def _make_missing_option_error(
+        self, ctx: click.Context, option: click.Option
+    ) -> click.UsageError:
+        """Create the error about a missing option, with the typed words and an example value."""
+        name, meaning = option.opts[0], option.help or ""
+        missing = diagnose("option-missing", option=name, meaning=meaning.rstrip("."))
+        error = click.UsageError(str(missing), ctx)
+        if name in self._examples:
+            values, _, _ = self.make_parser(ctx).parse_args([*ctx.meta[TYPED_WORDS]])
+            example = (name, self._examples[name](values))
+            error.add_note(_join_command(self, (*ctx.meta[TYPED_WORDS], *example)))
+        return error
+
+    def _make_example(self, missing: str) -> str:
+        """Create a command line without options, with an example of each required argument.
+
+        Empty if an argument has no example. ``missing`` is the name of the missing argument, which
+        may be required only without the name of a variant.
+        """
+        words = []
+        for argument in self.params:
+            if not isinstance(argument, click.Argument):
+                continue
+            if not (argument.required or argument.name == missing):
+                continue
+            if isinstance(argument.type, click.Choice):
+                words.append(str(argument.type.choices[0]))
+            elif example := _EXAMPLE_ARGUMENTS.get(str(argument.name)):
+                words.append(example)
+            else:
+                return ""
+        return _join_command(self, words)
 
     def invoke(self, context: click.Context) -> Any:
         """Check that the output files of the command can be written, and run the command.
@@ -546,6 +588,18 @@ def _complete_pair_command(context: click.Context, error: ModelError) -> str:
         return ""
     missing, present = (urdf, mjcf) if str(urdf) == error.source else (mjcf, urdf)
     return complete_pair_command(present, missing)
+
+
+_EXAMPLE_ARGUMENTS = {
+    **dict.fromkeys(("urdf", "sources", "old"), "v3"),
+    "new": "v3-heavy",
+}
+"""{name of an argument: example, a variant of the package's own robot}."""
+
+
+def _join_command(command: click.Command, words: Iterable[str]) -> str:
+    """Create a command line from a command and its words."""
+    return f"{kinds.GENERATOR_NAME} {shlex.join([str(command.name), *words])}"
 
 
 _SHORT_OPTION_LENGTH = 2
@@ -696,7 +750,29 @@ def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> cli
         hint = f" Type {error.ctx.command_path} {usage}"
     argument = isinstance(error.param, click.Argument)
     param_hint = str(error.param.name).upper() if argument and error.param else error.param_hint
-    return click.BadParameter(f"{error.message}{hint}", error.ctx, error.param, param_hint)
+    refusal = click.BadParameter(f"{error.message}{hint}", error.ctx, error.param, param_hint)
+    if error.ctx is not None and typed:
+        chosen = names[alike[0]] if alike else str(choice.choices[0]) if argument else ""
+        refusal.add_note(_complete_choice(error.ctx, typed, chosen))
+    return refusal
+
+
+def _complete_choice(context: click.Context, typed: str, chosen: str) -> str:
+    """Create the typed command line with a valid choice in place of an invalid word.
+
+    Before the name of a robot, the choice is inserted. Empty without a choice, and if the invalid
+    word is part of a longer word.
+    """
+    from pupper_analysis.models.published import is_published_name
+    from pupper_analysis.pupper.named_robots import is_variant
+
+    words = [*context.meta[TYPED_WORDS]]
+    if not chosen or typed not in words:
+        return ""
+    place = words.index(typed)
+    is_robot = is_variant(typed) or is_published_name(typed) or _is_path(typed)
+    words[place : place if is_robot else place + 1] = [chosen]
+    return _join_command(context.command, words)
 
 
 _SYNONYMS = {

@@ -444,6 +444,8 @@ def test_an_angle_beyond_a_turn_is_accepted_with_its_unit() -> None:
         ("diff v3 v3-heav", "diff v3 v3-heavy"),
         ("contract v3-longleg", "contract v3-long-leg"),
         ("stand nobody", ""),
+        ("walk v3 --seeds 3", "walk v3 --seeds 3 --policy policy.onnx"),
+        ("walk v3 a.onnx b.onnx", "walk v3 a.onnx"),
         ("stand v3 v3-heavy --height 12cm", "stand v3 --height 12cm"),
         ("best payload a/a.urdf a/a.xml v3", "best payload a/a.urdf a/a.xml"),
     ],
@@ -457,6 +459,36 @@ def test_refusal_of_a_mistake_is_followed_by_the_corrected_command(
     assert result.returncode == 2
     assert len(fault) <= MAX_ANSWER_WIDTH
     assert steps == ([f"  next: pupper-analysis {corrected}"] if corrected else [])
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("best v3 --kp 5", "best utilisation v3 --kp 5"),
+        ("best a.urdf", "best utilisation a.urdf"),
+        ("best utilization v3", "best utilisation v3"),
+        ("best speed v3", "best utilisation v3"),
+        ("stand a.urdf --take urd", "stand a.urdf --take urdf"),
+        ("convert v3", "convert v3 -o v3.xml"),
+        ("convert a.urdf --foot x=y", "convert a.urdf --foot x=y -o a.xml"),
+        ("convert b.urdf", "convert b.urdf -o b_converted.xml"),
+        ("convert b.xml", "convert b.xml -o b_converted.urdf"),
+        ("best", "best utilisation"),
+        ("crosscheck", "crosscheck v3"),
+        ("contract", "contract v3"),
+        ("diff", "diff v3 v3-heavy"),
+        ("walk v3", "walk v3 --policy mine.onnx"),
+    ],
+)
+def test_refusal_of_a_missing_word_is_followed_by_the_complete_command(
+    typed: str, completed: str, tmp_path: Path
+) -> None:
+    """Reference: the usage lines. A proposed output file does not exist."""
+    for name in ("a.urdf", "b.urdf", "b.xml", "mine.onnx"):
+        (tmp_path / name).write_text("")
+    done = answer(*typed.split(), folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[1:] == [f"  next: pupper-analysis {completed}"]
 
 
 @pytest.mark.parametrize(

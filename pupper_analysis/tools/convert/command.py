@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -10,6 +12,7 @@ from pupper_analysis.base import kinds
 from pupper_analysis.base.arguments import match_names
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
@@ -28,7 +31,21 @@ _USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIO
 option without an effect is refused if the user typed it."""
 
 
-@shared.command("convert", meanings={"source": "the URDF, MJCF, USD or variant to convert"})
+def _propose_output(values: Mapping[str, Any]) -> str:
+    """Return a file that does not exist, in the other format and beside the typed source."""
+    source = Path(str(values["source"]))
+    suffix = ".urdf" if source.suffix.lower() in (".xml", ".mjcf") else ".xml"
+    stem = source.name.removesuffix(".xacro").removesuffix(".urdf").removesuffix(source.suffix)
+    names = (f"{stem}{suffix}", *(f"{stem}_converted{number}{suffix}" for number in ("", 2, 3)))
+    paths = [source.parent / name for name in names]
+    return str(next((path for path in paths if not path_exists(path)), paths[0]))
+
+
+@shared.command(
+    "convert",
+    meanings={"source": "the URDF, MJCF, USD or variant to convert"},
+    examples={"-o": _propose_output},
+)
 @click.argument("source", type=shared.MODEL_FILE)
 @shared.output_option(
     "-o",

@@ -13,11 +13,16 @@ from click import get_current_context
 from click.core import ParameterSource
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.inputs import path_exists
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
-from pupper_analysis.cli.next_step import complete_command, print_next_step
+from pupper_analysis.cli.next_step import (
+    complete_command,
+    complete_command_without,
+    print_next_step,
+)
 from pupper_analysis.cli.robots import (
     FILE_OPTIONS,
     VARIANT_OPTIONS,
@@ -189,7 +194,10 @@ def command(
     robot = load_walking_robot(source, style, everything=everything, visuals=is_drawn)
     if not init:
         robot.check_floating("walk-of-fixed-base")
-    policy_path, sources = select_policy(policy, sources)
+    try:
+        policy_path, sources = select_policy(policy, sources)
+    except ConfigurationError as error:
+        raise _propose_policy(error) from error
     deployment = read_deployment(robot, sources, policy_path) if sources else None
     if init:
         _write_first_contract(policy_path, robot, deployment)
@@ -302,6 +310,27 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
     message = diagnose("walk-template-written", file=str(path), missing=missing)
     shared.print_text(diagnostic_text(message))
     print_next_step(NextStep("walk", omitted=("--init",)))
+
+
+def _propose_policy(error: ConfigurationError) -> ConfigurationError:
+    """Add the command line with a policy to the error about no or several policies.
+
+    The policy is the first of several; otherwise an ONNX file in the current folder, or an example.
+    """
+    problem = error.problem
+    if not isinstance(problem, Diagnostic):
+        return error
+    names = problem.values["names"]
+    if isinstance(names, tuple) and names:
+        error.add_note(complete_command_without([str(name) for name in names[1:]]))
+        return error
+    files = sorted(Path().glob("*.onnx"))
+    example = "" if files else "policy.onnx"
+    values = FrozenDict({**problem.values, "example": example})
+    refusal = ConfigurationError(error.field, replace(problem, values=values))
+    step = NextStep("walk", ("--policy", example or str(files[0])))
+    refusal.add_note(complete_command(step))
+    return refusal
 
 
 @contextmanager
