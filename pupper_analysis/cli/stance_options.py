@@ -283,8 +283,7 @@ class RobotAndTask:
             frame = f"{place[0]} " if isinstance(place[0], str) else ""
             where = ", ".join(f"{1e3 * float(value):.4g}" for value in place[-3:])
             at = f" at {frame}({where}) mm" if frame or any(place) else ""
-            name = f"{loaded.name} + {self.payload:.6g} kg{at}"
-            loaded = replace(loaded, name=name)
+            loaded = replace(loaded, name=f"{append_payload(loaded.name, self.payload)}{at}")
         loaded = with_options(
             loaded, self.integrator, self.cone, self.impratio, timestep=self.timestep
         )
@@ -573,6 +572,11 @@ def apply_motors(
         joint: limit for joint, limit in list_motor_efforts(motors).items() if joint not in typed
     }
     return with_efforts(robot, limits), motors
+
+
+def append_payload(name: str, mass: float) -> str:
+    """Append the mass of a payload [kg] to the name of a robot: ``v3 + 2 kg``."""
+    return f"{name} + {mass:.6g} kg"
 
 
 def parse_continuous_torques(

@@ -116,12 +116,16 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     return tuple(ordered)
 
 
+OVERLOAD_CODE = "motors-overloaded"
+"""Code of the statement that motors exceed their effort limits."""
+
+
 def _rank_cause(clause: Clause) -> int:
     """Return the rank of a statement in a bad verdict: overloaded motors, other causes, the rest.
 
     Overloaded motors precede a range that limits motors, which names all motors with this range.
     """
-    if clause.message.code == "motors-overloaded":
+    if clause.message.code == OVERLOAD_CODE:
         return 0
     return 1 if clause.message.code in _CAUSES else 2
 
@@ -580,7 +584,7 @@ _CAUSES = (
     "ctrlrange-cuts-off",
     "forcerange-cuts-off",
     "actuatorfrcrange-cuts-off",
-    "motors-overloaded",
+    OVERLOAD_CODE,
     "weld-holds-it",
     "connect-holds-it",
     "tendon-holds-it",
@@ -648,7 +652,7 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
         yield Clause(
             False,
             diagnose(
-                "motors-overloaded",
+                OVERLOAD_CODE,
                 joints=verdict.overloaded_motors,
                 standing=verdict.force_error is not None,
             ),

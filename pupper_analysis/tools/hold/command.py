@@ -21,6 +21,7 @@ from pupper_analysis.cli.stance_options import (
     OUTPUT_OPTIONS,
     SERVO_OPTIONS,
     RobotAndTask,
+    append_payload,
     limit_by_peak,
     parse_continuous_torques,
 )
@@ -111,6 +112,8 @@ def command(
             commands_alone=True,
         )
         torques = zip(robot.joint_names, result.statics.joint_torques.tolist(), strict=True)
+        if payload:
+            result = replace(result, name=append_payload(result.name, payload))
         result = replace(result, weak_motors=describe_weak_motors(motors, dict(torques)))
     options.show(result, robot)
     if figure is not None:

@@ -21,6 +21,7 @@ from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
     describe_slides,
     format_example_efforts,
+    format_peak_load,
     get_display_scales,
     limit_cell,
     origins_text,
@@ -32,12 +33,16 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.servos import split_servo_statement
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.present.verdict import (
+    OVERLOAD_CODE,
+    clause_text,
     judged_document,
     qualify_verdict_word,
     select_step_after_failure,
+    verdict_clauses,
     verdict_word,
 )
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
 from pupper_analysis.tools.hold.hold import Hold, ReachLoad
@@ -78,10 +83,31 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
         notes=robot_notes(robot),
         next_step=_select_next_step(hold),
     )
+    document = _state_overload_first(document, hold)
     if not _states_added_servos(hold):
         return document
     kept, moved = split_servo_statement(document.findings, hold.verdict.servos)
     return replace(document, findings=kept, details=(*document.details, *moved))
+
+
+def _state_overload_first(document: doc.Document, hold: Hold) -> doc.Document:
+    """Move overloaded motors to the start of the failures, after the motor with the most load.
+
+    The document is unchanged if a motor named by the caller is too weak, or if a mass or an inertia
+    is impossible: these reasons come first.
+    """
+    verdict = hold.verdict
+    overloaded = tuple(
+        clause_text(clause)
+        for clause in verdict_clauses(verdict)
+        if clause.message.code == OVERLOAD_CODE
+    )
+    impossible = any(remark.code in IMPOSSIBLE_CODES for remark in verdict.remarks)
+    if verdict.passed or not overloaded or hold.weak_motors or impossible:
+        return document
+    load = text("most-overloaded-motor", **format_peak_load(hold.statics)).with_mark("bad")
+    others = (failure for failure in document.failures if failure not in overloaded)
+    return replace(document, failures=(load, *overloaded, *others))
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:

@@ -37,7 +37,7 @@ def test_written_results_equal_the_python_results(
     held = pa.hold_posture(arm(), {"elbow": math.pi / 2, "b_slide": 0.05}, payload=0.2)
     found = json.loads(out[0].read_text())
     del found["generator"], found["provenance"]
-    assert found == json.loads(held.to_json()) | {"name": "arm.urdf+arm.xml"}  # as typed
+    assert found == json.loads(held.to_json()) | {"name": "arm.urdf+arm.xml + 0.2 kg"}  # as typed
     limit = f"{round_down(held.payload.mass, 3):.3g} kg more at tip"
     assert f"Payload limit in this posture: {limit}" in " ".join(output.split())
     assert imread(out[1]).std() > 0.01
@@ -50,7 +50,7 @@ def test_weak_motors_give_exit_status_1_and_invalid_input_is_refused(
     status, output, _ = run_command(capfd, "hold", *files, "--payload", "3")
     assert f"  next: pupper-analysis hold {' '.join(files)}\n" in output
     assert status == 1
-    assert "FAILS arm" in output
+    assert "FAILS arm.urdf+arm.xml + 3 kg: worst motor" in output
     assert "OVERLOADED: motors exceed their limits: elbow" in output
     high = f"{math.degrees(RANGES['elbow'][1]):.4g} deg"
     for wrong, said in (
@@ -98,5 +98,6 @@ def test_overloaded_motor_precedes_the_motors_that_a_range_limits(
     file.write_text(LIFT)
     status, output, _ = run_command(capfd, "hold", str(file))
     assert status == 1
-    _, cause, *_ = output.splitlines()
+    first, cause, *_ = output.splitlines()
+    assert first == "FAILS lift.xml: worst motor 19.62 N = 131 % of the limit (lift)"
     assert cause.strip().startswith("OVERLOADED: motors exceed their limits: lift")
