@@ -418,7 +418,9 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
     ]
 
 
-def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
+def match_joint_pattern(
+    option: str, pattern: str, robot: Robot, *, motors: bool = False
+) -> list[bool]:
     """Find the joints of a robot that a name or pattern of an option selects.
 
     Args:
@@ -426,6 +428,7 @@ def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
         pattern: Name of a joint, or pattern with the wildcards of ``fnmatch``, such as "leg_*_3";
             case-sensitive.
         robot: Robot.
+        motors: True to select joints with a motor only (`find_motor_joints`).
 
     Returns:
         For each joint in ``robot.joint_names``, True if the pattern selects the joint.
@@ -434,10 +437,10 @@ def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
         UnknownNameError: If no joint matches.
     """
     from pupper_analysis.base.errors import UnknownNameError
-    from pupper_analysis.robot.joints import find_joints
+    from pupper_analysis.robot.joints import find_joints, find_motor_joints
 
     try:
-        selected = find_joints(robot, pattern)
+        selected = (find_motor_joints if motors else find_joints)(robot, pattern)
     except UnknownNameError as error:
         raise error.with_location(f"--{option}") from None
     return [name in selected for name in robot.joint_names]
@@ -448,7 +451,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
     Args:
         texts: Texts of the option; later texts have priority. Without ``JOINTS=``, the number is
-            for all joints.
+            for all joints with a motor.
         robot: Robot.
         option: Name of the option, for errors.
 
@@ -461,7 +464,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
     """
     efforts: dict[str, float] = {}
     for pattern, value in _parse_assignments(option, texts):
-        matches = match_joint_pattern(option, pattern, robot)
+        matches = match_joint_pattern(option, pattern, robot, motors=True)
         efforts |= {
             name: value
             for name, matches_pattern in zip(robot.joint_names, matches, strict=True)
@@ -495,7 +498,7 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
     for text in texts:
         pattern, _, name = text.rpartition("=")
         motor = find_motor(name)
-        matches = match_joint_pattern(option, pattern or "*", robot)
+        matches = match_joint_pattern(option, pattern or "*", robot, motors=True)
         joints = [name for name, match in zip(robot.joint_names, matches, strict=True) if match]
         try:
             check_motor_joints(robot, joints, option)
@@ -523,12 +526,12 @@ def complete_motor_command(
     from pupper_analysis.base.arguments import find_name_patterns
     from pupper_analysis.cli.next_step import complete_command
     from pupper_analysis.present.document import NextStep
-    from pupper_analysis.robot.joints import find_joints, is_slide
+    from pupper_analysis.robot.joints import find_motor_joints, is_slide
 
     motors: list[str] = []
     for text in texts:
         pattern, _, name = text.rpartition("=")
-        joints = find_joints(robot, pattern or "*")
+        joints = find_motor_joints(robot, pattern or "*")
         hinges = [joint for joint in joints if not is_slide(robot, joint)]
         if len(hinges) == len(joints):
             motors += ("--motor", text)

@@ -52,7 +52,7 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.joints import find_joints
+from pupper_analysis.robot.joints import find_motor_joints
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.robot import (
     Robot,
@@ -538,7 +538,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         robot: The robot.
         efforts: {joint, or a pattern such as ``*calf*``: largest absolute torque of the motor at
             the joint [N m], or force of a slide [N]}. If several patterns match a joint, the last
-            counts.
+            counts. Patterns select motors (`find_motor_joints`).
 
     Returns:
         The robot with the limits; the robot itself if ``efforts`` is empty.
@@ -550,7 +550,9 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     """
     old_limits = {limit.joint: limit for limit in robot.efforts}
     efforts = {
-        joint: effort for name, effort in efforts.items() for joint in find_joints(robot, name)
+        joint: effort
+        for name, effort in efforts.items()
+        for joint in find_motor_joints(robot, name)
     }
     for name, effort in efforts.items():
         check_type(f"efforts[{name}]", effort, float)

@@ -177,6 +177,19 @@ def find_joints(robot: Robot, pattern: str) -> list[str]:
     return chosen
 
 
+def find_motor_joints(robot: Robot, pattern: str) -> list[str]:
+    """Return the joints whose motors a name or a pattern selects, in actuator order.
+
+    Passive joints (`Description.passive_joints`) have no motor: a pattern that also matches other
+    joints does not select them. A passive joint alone is selected, for example by its name.
+
+    Raises:
+        UnknownNameError: If the pattern matches no joint.
+    """
+    chosen, passive = find_joints(robot, pattern), robot.description.passive_joints
+    return [joint for joint in chosen if joint not in passive] or chosen
+
+
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:

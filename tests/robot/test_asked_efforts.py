@@ -13,7 +13,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.cli.stance_options import parse_efforts
 from pupper_analysis.models.efforts import EffortCode, JointEffort, placeholder_efforts
+from pupper_analysis.present.documents.loads import format_example_efforts
 from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.servos import model_with_servos
@@ -207,3 +209,27 @@ def test_effort_that_no_motor_has_is_refused_or_counts_as_zero() -> None:
         stated, stand.with_robot(stated), distribution=ForceDistribution.MIN_MAX_TORQUE
     )
     assert np.isinf(shares.motor_utilisation).any()
+
+
+def test_patterns_of_efforts_leave_out_passive_joints(tmp_path: Path) -> None:
+    """A joint without motor got the torque limit of all motors. Its own name selects it."""
+    servo = f'<position joint="a_turn" kp="{arm.STIFFNESS["a_turn"]}" kv="20"/>'
+    urdf = re.sub(r' effort="[^"]*"', "", arm.URDF).replace(
+        'lower="-3.0" upper="3.0"', 'lower="-3.0" upper="3.0" effort="0"'
+    )
+    robot = arm.load_arm(tmp_path, urdf, arm.MJCF.replace(servo, ""))
+    assert robot.passive_joints == ("a_turn",)
+    assert parse_efforts(("40",), robot) == {"elbow": 40, "b_slide": 40, "shoulder": 40}
+    assert parse_efforts(("a_turn=3",), robot) == {"a_turn": 3}
+    requested = with_efforts(robot, {"*": 40.0})
+    limits = {limit.joint: limit.symmetric_torque for limit in requested.efforts}
+    assert limits == {"elbow": 40, "b_slide": 40, "shoulder": 40, "a_turn": 0}
+
+
+def test_proposed_efforts_name_all_unknown_motors() -> None:
+    """A slide without load was left out, so the payload was still unknown with the command."""
+    units = {"lift": "N", "hip": "N m", "knee": "N m", "pin": "N m"}
+    torques = {"lift": 0.0, "hip": 3.0, "knee": -5.0, "pin": 0.0}
+    words = format_example_efforts(("lift", "hip", "knee"), torques, units)
+    assert words == ("--effort", "lift=10", "--effort", "hip=10", "--effort", "knee=10")
+    assert format_example_efforts(("lift",), torques, units) == ()

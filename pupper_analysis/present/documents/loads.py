@@ -56,7 +56,8 @@ def format_example_efforts(
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
     The example is `EXAMPLE_EFFORT_RATIO` times the largest torque of these motors, with two digits.
-    Hinges and slides have separate examples. Empty if the torques are zero.
+    Hinges and slides have separate examples; the number is the same for both if either have no
+    torque. Empty if all torques are zero.
 
     Args:
         unknown: Joints of the motors without a stated limit.
@@ -64,13 +65,15 @@ def format_example_efforts(
         units: {joint: unit of the torque} of all motors, N m or N.
     """
     words: list[str] = []
+    largest = max((abs(torques[joint]) for joint in torques if joint in unknown), default=0.0)
+    if largest == 0:
+        return ()
     for unit in dict.fromkeys(units.values()):
         joints = [joint for joint in torques if joint in unknown and units[joint] == unit]
-        torque = max((abs(torques[joint]) for joint in joints), default=0.0)
-        if torque > 0:
-            example = format_number(EXAMPLE_EFFORT_RATIO * torque, ".2g")
-            for pattern in find_name_patterns(joints, torques):
-                words += ("--effort", f"{pattern}={example}")
+        torque = max((abs(torques[joint]) for joint in joints), default=0.0) or largest
+        example = format_number(EXAMPLE_EFFORT_RATIO * torque, ".2g")
+        for pattern in find_name_patterns(joints, torques):
+            words += ("--effort", f"{pattern}={example}")
     return tuple(words)
 
 

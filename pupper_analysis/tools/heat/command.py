@@ -250,12 +250,12 @@ def _check_base(robot: Robot, motors: tuple[str, ...], limit: float | None) -> N
 
 def _select_slides(motors: tuple[str, ...], robot: Robot) -> bool:
     """Return True if a text of ``--motor`` selects a slide, which has no rotary motor."""
-    from pupper_analysis.robot.joints import find_joints, is_slide
+    from pupper_analysis.robot.joints import find_motor_joints, is_slide
 
     return any(
         is_slide(robot, joint)
         for motor in motors
-        for joint in find_joints(robot, motor.rpartition("=")[0] or "*")
+        for joint in find_motor_joints(robot, motor.rpartition("=")[0] or "*")
     )
 
 

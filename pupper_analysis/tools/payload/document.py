@@ -103,11 +103,9 @@ def _format_example_efforts(limit: PayloadLimit) -> tuple[str, ...]:
 
     The torques belong to the stand with the largest payload of the other bounds.
     """
-    shares = dict(zip(limit.joint_names, limit.motor_utilisation.tolist(), strict=True))
-    unknown = [joint for joint, share in shares.items() if math.isnan(share)]
     torques = {joint: float(torque) for joint, torque in limit.torque_by_joint.items()}
     return format_example_efforts(
-        unknown, torques, {joint: limit.get_torque_unit(joint) for joint in torques}
+        limit.unknown_limits, torques, {joint: limit.get_torque_unit(joint) for joint in torques}
     )
 
 
