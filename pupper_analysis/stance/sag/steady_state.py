@@ -442,7 +442,8 @@ class HomotopyPath:
             found = self.system.solve(self.solution, exact=exact)
             if found is None:
                 closed = not any(self.system.stand.depths.values())
-                loops = self.system.robot.closure is not None and closed
+                robot = self.system.robot
+                loops = robot.floating and robot.closure is not None and closed
                 message = diagnose("equilibrium-ends", when=when, loops=loops)
                 raise NoEquilibriumError(self.share, message)
             wrong = self.system.find_violations(found)

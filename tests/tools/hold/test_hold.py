@@ -142,6 +142,24 @@ def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
 COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
 
 
+def test_missing_equilibrium_of_an_arm_is_not_explained_by_a_stand(tmp_path: Path) -> None:
+    """The reason named open loops of a stand: the arm has a coupling, and no stand. Half of the
+    closed-form torque does not hold the elbow.
+    """
+    coupling = f"<equality><joint {COUPLED.format(ratio='0 0')}/></equality></mujoco>"
+    needs = abs(by_hand.holding_torques(0.0, 0.0, 0.5, 0.1)["elbow"])
+    servo = f'<position joint="b_slide" kp="{STIFFNESS["b_slide"]}" kv="20"/>'
+    robot = load_arm(
+        tmp_path,
+        urdf=by_hand.URDF.replace('effort="9.0"', f'effort="{0.5 * needs}"'),
+        mjcf=by_hand.MJCF.replace("</mujoco>", coupling).replace(servo, ""),
+    )
+    assert robot.closure is not None
+    stand = held_stand(robot, find_posture(robot, {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5}))
+    with pytest.raises(pa.errors.NoEquilibriumError, match=r"the equilibrium ends$"):
+        steady_state(robot, stand)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "rate"), [("0.05 0", 0.05), ("0.02 0.015", 0.056)])
 def test_torque_of_a_leading_joint_includes_its_follower(
