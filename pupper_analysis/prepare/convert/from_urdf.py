@@ -221,7 +221,7 @@ class UrdfBodies:
             ModelError: If a joint below the base is floating or planar, for example.
         """
         links, worldbody = self.tree.links, mjcf.section("worldbody")
-        if WORLD_LINK in links and (self.root != WORLD_LINK or free):
+        if WORLD_LINK in links and (free or WORLD_LINK not in self.tree.fixed_group(self.root)):
             problem = diagnose("link-named-world", subject=("link", WORLD_LINK))
             raise make_element_error(self.urdf.path, links[WORLD_LINK].element, problem)
         if self.root == WORLD_LINK:
@@ -244,7 +244,10 @@ class UrdfBodies:
                 self._add_shape(body, link.name, kind, shape, geometry)
         for joint in self.tree.child_joints.get(link.name, ()):
             xyz, rpy = _read_origin(joint.element)
-            inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
+            name = joint.child
+            if name == WORLD_LINK:  # fixed to the world, but not the world of MuJoCo
+                name = make_unique_name(f"{WORLD_LINK}_link", self.frames)
+            inner = add_element(body, "body", name=name, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
             self._fill_body(inner, self.tree.links[joint.child])
 

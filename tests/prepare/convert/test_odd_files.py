@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
+from tests.support import arm
 from tests.support.conversions import (
     compare_dynamics,
     compile_file,
@@ -60,6 +61,30 @@ def test_refusal_of_a_conversion_names_the_source_file(
     with pytest.raises(pa.ModelError, match=problem) as caught:
         pa.convert_model(_write_changed(tmp_path, change), tmp_path / "new.xml")
     assert "draft" not in str(caught.value)
+
+
+def test_a_link_named_world_that_is_fixed_to_the_base_of_an_arm_is_converted(
+    tmp_path: Path,
+) -> None:
+    """It was refused as if it moved. Reference: masses of all links, and height of the turntable."""
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    above = (
+        f'<link name="bench"/><link name="world">{inertial}</link><joint name="top" type="fixed">'
+        '<parent link="bench"/><child link="world"/><origin xyz="0 0 0.7"/></joint>'
+        '<joint name="foot" type="fixed"><parent link="world"/><child link="base"/></joint></robot>'
+    )
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(arm.URDF.replace("</robot>", above), encoding="utf-8")
+    mjcf, found = convert_file(urdf, "new.xml")
+    assert found.passed, found.failures
+    model = compile_file(mjcf)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.body("turn").xpos == pytest.approx([0.0, 0.0, 1.2])
+    assert model.body_mass.sum() == pytest.approx(1 + sum(arm.MASSES.values()))
 
 
 def test_free_base_is_refused_if_its_root_link_is_named_world(tmp_path: Path) -> None:
