@@ -66,7 +66,7 @@ def test_refusal_of_a_conversion_names_the_source_file(
 def test_a_link_named_world_that_is_fixed_to_the_base_of_an_arm_is_converted(
     tmp_path: Path,
 ) -> None:
-    """It was refused as if it moved. Reference: masses of all links, and height of the turntable."""
+    """It was refused as if it moved. Reference: masses of all links, height of the turntable."""
     inertial = (
         '<inertial><mass value="1"/>'
         '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
