@@ -258,8 +258,8 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 
 MIN_FELT_MOTION = 1e-4
-"""Largest difference of a simulated coordinate [m, rad, 1 for quaternions], or of the final CoM
-height [m], between two versions that counts as no effect. Chosen, not tuned.
+"""Largest difference of a simulated coordinate [m, rad, 1 for quaternions], or of the final
+height of the base or CoM [m], between two versions that counts as no effect. Chosen, not tuned.
 """
 
 SIMULATION_SECONDS = 2.0
@@ -276,7 +276,7 @@ _NUM_SAMPLES = 200
 """
 
 _MIN_FALL_HEIGHT = 1.0
-"""Difference [m] by which the CoM of the new version ends below that of the old version, above
+"""Difference [m] by which the base or CoM of the new version ends below the old version, above
 which the new robot is reported as falling through or off the floor. Chosen, not tuned.
 """
 
@@ -769,8 +769,9 @@ class _SimulatedRun:
         qpos: Positions of the selected joints, shape (samples, n) [m, rad, quaternion]; NaN after
             divergence.
         slid: Whether each coordinate is a length, shape (n,).
-        com: Height of the CoM of the moving bodies in the trees of the selected joints, shape
-            (samples,) [m].
+        height: Height of the body of the first selected free joint, shape (samples,) [m]; without
+            free joint, of the CoM of the moving bodies in the trees of the selected joints.
+        has_base: Whether ``height`` belongs to the body of a free joint.
         friction: Smallest friction coefficient of a contact with the world at the end; None without
             contact.
     """
@@ -778,7 +779,8 @@ class _SimulatedRun:
     seconds: float
     qpos: Array
     slid: NDArray[np.bool_]
-    com: Array
+    height: Array
+    has_base: bool
     friction: float | None
 
 
@@ -937,7 +939,8 @@ def _simulate_model(
     ]
     roots = model.body_rootid[model.jnt_bodyid[list(joints)]]
     masses = model.body_mass * np.isin(model.body_rootid, roots) * (model.body_weldid != 0)
-    qpos, com, done = [], [], 0
+    free = [joint for joint in joints if model.jnt_type[joint] == JointKind.FREE]
+    qpos, heights, done = [], [], 0
     with silence_mujoco():
         for sample in range(1, _NUM_SAMPLES + 1):
             wanted = round(sample * seconds / _NUM_SAMPLES / step)
@@ -948,13 +951,18 @@ def _simulate_model(
             done = wanted
             lost = not data.time > (wanted - 0.5) * step  # MuJoCo resets time after a divergence
             qpos.append(np.full(len(places), np.nan) if lost else data.qpos[places])
-            height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
-            com.append(np.nan if lost else height)
+            height = (
+                float(data.xpos[model.jnt_bodyid[free[0]], 2])
+                if free
+                else float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
+            )
+            heights.append(np.nan if lost else height)
     return _SimulatedRun(
         seconds,
         np.array(qpos),
         np.array(slid, dtype=bool),
-        np.array(com),
+        np.array(heights),
+        bool(free),
         _find_min_friction(model, data),
     )
 
@@ -991,7 +999,8 @@ def _compare_runs(
     worst = max(moved, turned)
     facts = []
     if worst > MIN_FELT_MOTION:
-        rise = float(after.com[-1] - before.com[-1])
+        rise = float(after.height[-1] - before.height[-1])
+        is_moderate = rise >= -_MIN_FALL_HEIGHT and abs(rise) > MIN_FELT_MOTION
         facts.append(
             diagnose(
                 "simulation-changes",
@@ -1001,6 +1010,8 @@ def _compare_runs(
                 if -_MIN_FALL_HEIGHT <= rise < -MIN_FELT_MOTION
                 else None,
                 falls=Quantity(-rise, "m") if rise < -_MIN_FALL_HEIGHT else None,
+                base=is_moderate and after.has_base,
+                com=is_moderate and not after.has_base,
                 ends=abs(rise) > MIN_FELT_MOTION,
                 off=[
                     diagnose("coordinate-off", length=unit == "m", most=Quantity(most, unit))

@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models import attributes
 from pupper_analysis.models.stated import mjcf as elements
-from pupper_analysis.tools.diff.elements import _choose_ground_height
+from pupper_analysis.tools.diff.elements import MIN_FELT_MOTION, _choose_ground_height
 from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copy_mjcf
 from tests.support.random_edits import measure_difference, rollout
 from tests.support.repository import ROOT
@@ -36,9 +36,7 @@ def rest_height(file: Path) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
 def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, name: str) -> None:
-    """Reference: change of the base height [m] after 2 s of bare MuJoCo, within 1 % or 3 mm, since
-    `diff` reports the height of the CoM.
-    """
+    """Reference: change of the base height [m] after 2 s of bare MuJoCo."""
     edit = (FELT | HARMLESS)[name]
     before, after = ROOT / "mjcf/pupper_v3.xml", write_edited(tmp_path, edit)
     diff = pa.diff_models(before, after)
@@ -56,8 +54,26 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
         stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
         (height,) = [value.value for value in stated if value is not None] or [0.0]
         rise = rest_height(after) - rest_height(before)
-        assert height == pytest.approx(abs(rise), rel=0.01, abs=3e-3)  # of the com, not the base
+        assert height == pytest.approx(abs(rise), rel=0.01, abs=MIN_FELT_MOTION)
         assert (one.values["falls"] is not None) is (name in FALLS)
+
+
+@pytest.mark.slow
+def test_heavier_torso_lowers_the_base(tmp_path: Path) -> None:
+    """The message stated a CoM that ends 1.96 mm higher, since a heavier torso raises the CoM.
+
+    Reference: height of the base after 2 s of bare MuJoCo.
+    """
+    _, heavy = pa.pupper.write_variant("v3-heavy", tmp_path)
+    light = ROOT / "mjcf/pupper_v3.xml"
+    (message,) = [
+        message
+        for message in pa.diff_models(light, heavy).combined
+        if message.code == "simulation-changes"
+    ]
+    lower = message.values["lower"].value
+    assert lower == pytest.approx(rest_height(light) - rest_height(heavy), rel=1e-3)
+    assert "the base ends 5.24 mm lower" in str(message)
 
 
 def test_several_changes_have_a_common_effect(tmp_path: Path) -> None:
@@ -144,7 +160,7 @@ def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str
     stated = [message.values[which] for which in ("higher", "lower", "falls")]
     (height,) = [value.value for value in stated if value is not None] or [0.0]
     rise = rest_height(in_a_scene(after)) - rest_height(in_a_scene(before))
-    assert height == pytest.approx(abs(rise), rel=0.01, abs=3e-3)
+    assert height == pytest.approx(abs(rise), rel=0.01, abs=1e-3)
 
 
 FOOT = '<geom class="collision" type="sphere" size="0.01995"'
