@@ -298,6 +298,31 @@ def _find_plane_height(model: mujoco.MjModel) -> float | None:
     return None
 
 
+def lay_on_tilted_floor(published: PublishedModel, data: mujoco.MjData) -> bool:
+    """Rotate a robot on level ground at z = 0 to the tilted floor of a published model, in place.
+
+    The floor is the first plane that is fixed to the world. The robot keeps its pose relative to
+    the floor. False if the model has no plane, or the robot no free joint.
+    """
+    model = published.model
+    mujoco.mj_kinematics(model, data)
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)
+    roots = model.body_rootid
+    of_base = roots[model.jnt_bodyid[free]] == roots[published.base_body]
+    if not len(planes) or not of_base.any():
+        return False
+    address = int(model.jnt_qposadr[free[of_base][0]])
+    turned, rotation, plane = np.zeros(4), np.zeros(4), planes[0]
+    pose = data.qpos[address : address + 7]
+    mujoco.mju_mat2Quat(turned, data.geom_xmat[plane])
+    mujoco.mju_mulQuat(rotation, turned, pose[3:])
+    pose[:3] = data.geom_xpos[plane] + data.geom_xmat[plane].reshape(3, 3) @ pose[:3]
+    pose[3:] = rotation
+    return True
+
+
 def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData | None:
     """Place a published model at a configuration of the robot, and return the MuJoCo data.
 

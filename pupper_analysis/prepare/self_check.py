@@ -48,6 +48,7 @@ from pupper_analysis.prepare.published_model import (
     compute_hold_commands,
     find_self_controlled_joints,
     has_few_servos,
+    lay_on_tilted_floor,
     place_fixed_base,
     place_published,
     simulate_published,
@@ -262,7 +263,8 @@ def compare_with_file(
     """Simulate the unmodified file from predicted equilibria, and list causes of a deviation.
 
     Of several simulations with a deviation, the first is explained. If the file cannot be
-    simulated, for example without level ground, the reason is listed as the cause. If no cause is
+    simulated, the reason is listed as the cause. Without level ground, the ground is the cause, and
+    the simulations on the tilted floor are included if the robot falls there. If no cause is
     found, the deviation counts as agreement if the prepared robot moves like the file
     (`_keep_moving_alike`).
 
@@ -274,7 +276,9 @@ def compare_with_file(
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
     if published.floating and published.ground_height is None:
-        return Published((), (Cause("ground", ()),), differs=True)
+        on_floor = [simulate_prediction(published, robot, one) for one in predictions]
+        falls = tuple(run for run in on_floor if run is not None and run.collapses)
+        return Published(falls, (Cause("ground", ()),), differs=True)
     results = [
         (prediction, simulate_prediction(published, robot, prediction))
         for prediction in predictions
@@ -433,6 +437,9 @@ def simulate_prediction(
     place_model = place_published if robot.floating else place_fixed_base
     data = place_model(published, robot, prediction.qpos)
     if data is None:
+        return None
+    tilted = robot.floating and published.ground_height is None
+    if tilted and not lay_on_tilted_floor(published, data):
         return None
     mujoco.mj_kinematics(published.model, data)
     mujoco.mj_comPos(published.model, data)

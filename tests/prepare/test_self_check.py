@@ -5,6 +5,7 @@ verdict.
 from __future__ import annotations
 
 import copy
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -414,3 +415,43 @@ def test_passive_joints_with_springs_get_no_servo(tmp_path: Path) -> None:
     disagreeing = pa.judge_stand(loaded, pa.solve_stand(loaded))
     assert disagreeing.code is VerdictCode.DISAGREES  # with the spring, the feet are not flat
     assert disagreeing.failures[-1].code == "passive-joints-loaded"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tilt", [15, 45])
+def test_robot_without_servos_holds_on_a_tilted_floor_as_in_bare_mujoco(
+    tmp_path: Path, tilt: int
+) -> None:
+    """The verdict was HOLDS at each tilt. Reference: bare MuJoCo with the added servos, on the
+    unmodified floor, from the stand that is turned with the floor.
+    """
+    angle = math.radians(tilt)
+    floor = f'<worldbody><geom type="plane" size="0 0 1" euler="0 {angle} 0"/>'
+    text = re.sub(
+        "<actuator>.*</actuator>", "", legged.quadruped(tmp_path).mjcf.read_text(), flags=re.S
+    )
+    mjcf = tmp_path / "tilted.xml"
+    mjcf.write_text(text.replace("<worldbody>", floor))
+    robot = pa.load_robot(mjcf=mjcf)
+    stand = pa.solve_stand(robot)
+    spec = mujoco.MjSpec.from_file(str(mjcf))
+    spec.delete(spec.keys[0])
+    for servo in robot.description.made_servos:
+        actuator = spec.add_actuator(target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=servo.kp, kv=servo.kd)
+    model = spec.compile()
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data = mujoco.MjData(model)
+    turn = np.array([math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0])
+    mujoco.mju_rotVecQuat(data.qpos[:3], stand.qpos[:3], turn)
+    mujoco.mju_mulQuat(data.qpos[3:7], turn, stand.qpos[3:7])
+    for number, servo in enumerate(robot.description.made_servos):
+        position = stand.qpos[7 + robot.joint_names.index(servo.joint)]
+        data.ctrl[number] = data.joint(servo.joint).qpos[0] = position
+    while data.time < 5.0:
+        mujoco.mj_step(model, data)
+    normal = [math.sin(angle), 0.0, math.cos(angle)]
+    base = data.body("trunk")
+    stands = base.xmat.reshape(3, 3)[:, 2] @ normal > 0.95 and base.xpos @ normal > 0.3
+    assert bool(stands) is (tilt == 15)
+    assert pa.judge_stand(robot, stand).passed is bool(stands)
