@@ -42,7 +42,8 @@ from pupper_analysis.present.verdict import (
     verdict_word,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES
+from pupper_analysis.simulation.verdict import IMPOSSIBLE_CODES, VerdictCode
+from pupper_analysis.simulation.verify import JOINT_TOLERANCE
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
 from pupper_analysis.tools.hold.hold import Hold, ReachLoad
@@ -62,6 +63,8 @@ tuned."""
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Create the report of a held posture: torques, worst postures, tool limits and verdict."""
     limits = hold.limits.tolist()
+    qualified = hold.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD
+    soft = tuple(_describe_soft_servos(hold)) if qualified else ()
     document = judged_document(
         text("held-posture"),
         hold,
@@ -75,8 +78,14 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _make_force_table(hold),
             *force_plots(hold.force),
         ),
-        (_describe_worst_posture(hold), *_describe_loads(hold), *_list_warnings(hold)),
-        limit=_describe_worst_payload(hold),
+        (
+            _describe_worst_posture(hold),
+            *(() if soft or not qualified else (_describe_worst_payload(hold),)),
+            *_describe_loads(hold),
+            *_list_warnings(hold),
+        ),
+        # Line 2 is the reason for a qualified verdict: soft servos, or a text of the verdict.
+        limits=() if qualified and not soft else (*soft, _describe_worst_payload(hold)),
         leading=map(doc.diagnostic_text, hold.weak_motors[:1]),
         details=(*_list_findings(hold),),
         word=_select_verdict_word(hold),
@@ -191,6 +200,27 @@ def _format_worst_posture(hold: Hold, *, full: bool) -> doc.Text:
         full=full and math.isfinite(share),
         joint=doc.Name(worst.joint_names[index]),
         hangs=hold.hangs,
+    )
+
+
+def _describe_soft_servos(hold: Hold) -> Iterator[doc.Words]:
+    """Yield the sag of the tool [mm] without feed-forward, as the effect of a stiffness too low.
+
+    Nothing is yielded if the predicted sag of each joint is within the tolerance of a verified
+    posture (`JOINT_TOLERANCE`), or if there is no prediction.
+    """
+    if hold.settled is None or hold.tool_sag is None:
+        return
+    if np.abs(hold.settled.qpos - hold.posture.qpos).max() <= JOINT_TOLERANCE:
+        return
+    servos = hold.verdict.servos
+    lowest, highest = servos.kp
+    yield text(
+        "posture-servos-too-soft",
+        kp=format_number(lowest, ".3g") if lowest == highest > 0 else "",
+        unit=servos.stiffness_unit,
+        tool=doc.Name(hold.tool.name),
+        sag=format_number(1e3 * float(np.linalg.norm(hold.tool_sag)), ".3g"),
     )
 
 

@@ -13,7 +13,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.units import round_down
 from pupper_analysis.present.document import BarPlot, Name, NextStep, Table, Text, get_english
 from pupper_analysis.present.html.plots import draw_svg
-from pupper_analysis.simulation.verdict import Question
+from pupper_analysis.simulation.verdict import Ending, Question, VerdictCode
 from pupper_analysis.tools.hold.document import (
     describe_hardest_motor,
     force_plots,
@@ -142,6 +142,21 @@ def test_torques_from_1000_are_printed_as_integers() -> None:
     texts = str(hold_document(strong))
     assert "1230" in texts
     assert "1.23e+03" not in texts
+
+
+def test_soft_servos_are_the_reason_for_a_posture_that_needs_gravity_compensation() -> None:
+    """Reference: the sag of the tool in MuJoCo [mm], with a third of the stiffness."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9}, kp=100.0, kd=10.0)
+    verdict = replace(
+        held.verdict, code=VerdictCode.HOLDS_WITH_FEEDFORWARD, commands_alone=Ending.FAILS
+    )
+    lines = [line.short for line in hold_document(replace(held, verdict=verdict)).findings
+             if isinstance(line, Text)]  # fmt: skip
+    start, unit = "kp 100 N m/rad or N/m too low without gravity compensation: tip sags ", " mm"
+    assert lines[1].startswith(start)
+    sag = float(lines[1].removeprefix(start).removesuffix(unit))
+    assert sag == pytest.approx(1e3 * np.linalg.norm(held.simulated_tool_sag), rel=0.01)
+    assert "payload" in lines[2]
 
 
 _GAINS_STEP = NextStep("gains", ("--contact", "base=weld"), omitted=("--payload",))
