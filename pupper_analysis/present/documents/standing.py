@@ -17,6 +17,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import Column, Text, Words, diagnostic_text, text
 from pupper_analysis.present.documents.loads import proof_text
 from pupper_analysis.present.documents.sources import cite_page, files_text
+from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import MEASURING_TIME
 from pupper_analysis.simulation.verify import StandVerification
@@ -48,6 +49,17 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
         if robot is None
         else (files_text(robot), *map(diagnostic_text, merge_diagnostics(robot.notes)))
     )
+
+
+def is_base_bolted(stand: Stand) -> bool:
+    """Return True if a weld fixes the base or a link rigidly joined to it, and no foot bears load.
+
+    A weld of a foot, or of a link behind joints, does not count: it has a contact point.
+    """
+    points = set(stand.foot_targets)
+    parts = points | {point.rpartition("/")[0] for point in points}  # a sole: left/1, left/2 ...
+    welds = [name for name, contact in stand.task.contacts.items() if isinstance(contact, Weld)]
+    return any(name not in parts for name in welds) and not stand.stance_feet
 
 
 def ground_text(depths: Iterable[float]) -> Text:

@@ -25,6 +25,7 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
     ground_word,
+    is_base_bolted,
     robot_notes,
     task_text,
 )
@@ -185,6 +186,8 @@ def _format_payload(limit: PayloadLimit, *, brief: bool = False) -> doc.Text:
         # A line with two masses has no more room: line 2 states the place (`payload-limited`).
         placed=bool(np.any(limit.point)) and not alone,
         none=limit.upper_bound == 0,
+        loaded=limit.carried > 0 and limit.upper_bound > 0,
+        posture=is_base_bolted(limit.stand),
         only=limit.passed and _carries_only_with_feedforward(limit),
     )
 

@@ -37,6 +37,7 @@ from pupper_analysis.present.documents.standing import (
     ground_text,
     ground_word,
     height_plot,
+    is_base_bolted,
     list_motions,
     robot_notes,
     simulated_table,
@@ -44,7 +45,6 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import judged_document, verdict_word
-from pupper_analysis.robot.plane import Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
 from pupper_analysis.simulation.verdict import (
@@ -323,7 +323,7 @@ def _describe_peak_torque(stance: Stance, word_of_verdict: doc.Text) -> doc.Text
 
 def _describe_base(stance: Stance) -> Iterable[doc.Words]:
     """Yield the stance with the base height, or that the base is bolted; nothing if unknown."""
-    if _is_base_bolted(stance):
+    if is_base_bolted(stance.stand):
         yield text("base-is-bolted")
     elif (height := describe_height(stance)) is not None:
         yield height
@@ -405,18 +405,6 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
     )
 
 
-def _is_base_bolted(stance: Stance) -> bool:
-    """Return True if a weld fixes the base or a link rigidly joined to it, and no foot bears load.
-
-    A weld of a foot, or of a link behind joints, does not count: it has a contact point.
-    """
-    stand = stance.stand
-    points = set(stand.foot_targets)
-    parts = points | {point.rpartition("/")[0] for point in points}  # a sole: left/1, left/2 ...
-    welds = [name for name, contact in stand.task.contacts.items() if isinstance(contact, Weld)]
-    return any(name not in parts for name in welds) and not stand.stance_feet
-
-
 def _get_stiffness_unit(stance: Stance) -> str:
     """Return the unit of a stiffness that is equal at all joints; N m/rad if all are hinges."""
     return find_common_units(stance.statics.torque_units).stiffness
@@ -451,7 +439,7 @@ def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
         return _is_failure_without_feedforward_stated(stance)
     lasting = settled.release_margin >= RELEASE_MARGIN
     stated = lasting or _is_failure_without_feedforward_stated(stance)
-    return stated and _is_base_bolted(stance)
+    return stated and is_base_bolted(stance.stand)
 
 
 def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
@@ -486,7 +474,7 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
     """Yield details that are no findings: stance, equilibrium without feed-forward, ground."""
     settled, task = stance.settled, stance.stand.task
-    if _is_base_bolted(stance) or task.height is None:  # not in the findings
+    if is_base_bolted(stance.stand) or task.height is None:  # not in the findings
         yield task_text(task)
     if settled is not None and _is_settled_state_detail(stance, settled):
         yield _describe_settled_state(stance, settled)

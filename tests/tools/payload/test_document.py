@@ -17,13 +17,16 @@ from pupper_analysis.present.document import (
     get_english,
     text,
 )
+from pupper_analysis.robot.plane import Weld
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Question
-from pupper_analysis.tools.payload.document import payload_document
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.payload.document import payload_document, payload_text
 from tests.present.test_printed import print_words
 from tests.support.printing import printed
 from tests.support.stubs import (
     ADDED_SERVOS_TEXT,
+    Stub,
     judge_added_servos,
     make_payload_result,
 )
@@ -130,6 +133,28 @@ def test_short_answer_states_the_mass_without_the_limit() -> None:
     short = [words.short for words in findings if isinstance(words, Text)]
     assert "motors at 50 % (knee)" in short
     assert all(";" not in words for words in short if words.startswith("limit: "))
+
+
+def test_payload_beside_a_typed_payload_is_additional() -> None:
+    """Reference: 2 kg typed, 1.23 kg more. The line "stub + 2 kg: 1.23 kg" seemed to be a total."""
+    result = make_payload_result()
+    for carried, expected in ((2.0, "1.23 kg more "), (0.0, "1.23 kg at ")):
+        result.carried = carried
+        line = payload_text(result)
+        assert line.short.startswith(expected)
+        assert ("largest additional payload 1.23 kg" in line.en) is (carried > 0)
+
+
+@pytest.mark.parametrize("bolted", [True, False])
+def test_payload_of_a_welded_base_is_the_payload_of_one_posture(*, bolted: bool) -> None:
+    """`hold` states a smaller payload for the worst posture of the same arm."""
+    result = make_payload_result()
+    if bolted:
+        task = StandTask(contacts={"base": Weld()})
+        result.stand = Stub(**{**vars(result.stand), "task": task, "stance_feet": ()})
+    line = payload_text(result)
+    assert ("in this posture" in line.short) is bolted
+    assert ("in this posture" in line.en) is bolted
 
 
 def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
