@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import find_name_patterns
 from pupper_analysis.base.diagnostics.templates import format_number
-from pupper_analysis.base.units import READ_IN, floor_within_rounding, round_down
+from pupper_analysis.base.units import READ_IN, floor_within_rounding, round_down, round_up
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
@@ -44,20 +44,15 @@ motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 """
 
 
-EXAMPLE_EFFORT_RATIO = 2.0
-"""Example of a motor limit that a proposed command contains, divided by the largest torque of these
-motors [1]. Chosen, not tuned: the motors then exert this torque, and the posture is not at a limit.
-"""
-
-
 def format_example_efforts(
     unknown: Collection[str], torques: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[str, ...]:
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
-    The example is `EXAMPLE_EFFORT_RATIO` times the largest torque of these motors, with two digits.
-    Hinges and slides have separate examples; the number is the same for both if either have no
-    torque. Empty if all torques are zero.
+    The example is the largest torque of these motors, the smallest limit with which no such motor
+    limits the result. Three digits, rounded up (`format_required_effort`). Hinges and slides have
+    separate examples; the number is the same for both if either have no torque. Empty if all
+    torques are zero.
 
     Args:
         unknown: Joints of the motors without a stated limit.
@@ -71,10 +66,15 @@ def format_example_efforts(
     for unit in dict.fromkeys(units.values()):
         joints = [joint for joint in torques if joint in unknown and units[joint] == unit]
         torque = max((abs(torques[joint]) for joint in joints), default=0.0) or largest
-        example = format_number(EXAMPLE_EFFORT_RATIO * torque, ".2g")
+        example = format_required_effort(torque)
         for pattern in find_name_patterns(joints, torques):
             words += ("--effort", f"{pattern}={example}")
     return tuple(words)
+
+
+def format_required_effort(torque: float) -> str:
+    """Format a torque that a motor must be able to exert [N m, N], rounded up to three digits."""
+    return format_number(round_up(abs(torque), 3), ".3g")
 
 
 def utilisation_cell(share: float, limit: float) -> doc.Number:

@@ -17,6 +17,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import (
     format_example_efforts,
+    format_required_effort,
     mass_text,
     round_mass,
     view_block,
@@ -296,7 +297,7 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
     """Return the text of the upper bound of the mass if torque limits are unknown."""
     torques = limit.torque_by_joint
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
-    torque = format_number(abs(float(torques[hardest])), ".3g")
+    torque = format_required_effort(float(torques[hardest]))
     return text(
         "payload-unknown",
         place=_format_point(limit),

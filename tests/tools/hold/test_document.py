@@ -164,7 +164,8 @@ _GAINS_STEP = NextStep("gains", ("--contact", "base=weld"), omitted=("--payload"
 
 
 def test_unknown_motor_limits_lead_to_a_command_with_example_limits() -> None:
-    """hold proposed audit, and audit hold: neither stated a limit. Reference: twice the torque."""
+    """hold proposed audit, and audit hold: neither stated a limit. Reference: the torque of the
+    worst posture."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     payload = replace(held.payload, worst_posture_mass=math.nan, unknown=("elbow",))
     document = hold_document(replace(held, payload=payload))
@@ -175,7 +176,7 @@ def test_unknown_motor_limits_lead_to_a_command_with_example_limits() -> None:
     assert option == "--effort"
     pattern, _, effort = value.partition("=")
     assert pattern == "elbow"
-    assert float(effort) == pytest.approx(2 * torque, rel=0.05)
+    assert torque <= float(effort) <= 1.01 * torque
     line = document.findings[1]
     assert isinstance(line, Text)
     assert line.short.endswith(f": replace {value} by the motor limits")

@@ -104,12 +104,12 @@ def test_next_command_follows_the_cause_if_a_nudge_lowers_the_limit_of_the_conta
 
 
 @pytest.mark.parametrize(
-    ("unknown", "option"), [(("hip",), "hip=2"), (("knee",), "knee=4"), (("hip", "knee"), "*=4")]
+    ("unknown", "option"), [(("hip",), "hip=1"), (("knee",), "knee=2"), (("hip", "knee"), "*=2")]
 )
 def test_next_command_states_example_limits_of_motors_without_a_limit(
     unknown: tuple[str, ...], option: str
 ) -> None:
-    """``audit`` was proposed, and found nothing. Reference: twice the torques 1 and -2 N m."""
+    """``audit`` was proposed, and found nothing. Reference: the torques 1 and -2 N m."""
     step = payload_document(make_payload_result(*unknown)).next_step
     assert step is not None
     assert (step.command, step.words) == ("payload", ("--effort", option))
