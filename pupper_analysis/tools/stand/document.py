@@ -133,6 +133,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     requested = tuple(_describe_minimum_stiffness(stance))
     # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
+    height_first = _is_height_requested(stance, robot) and stance.passed and not qualified
     # The cause of a failure of the unmodified file is part of the verdict.
     own_soft = _has_soft_drives(stance)
     # A file that ties the robot to the world explains a failure, unlike soft servos.
@@ -167,8 +168,8 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *(requested if qualified else ()),
             *(gains if qualified else ()),
             *(soft if skipped else ()),
-            *_list_findings(stance),
-            *_describe_base(stance),
+            *_list_findings(stance, gains),
+            *(() if height_first else _describe_base(stance)),
         ),
         limits=()
         if qualified
@@ -176,6 +177,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *requested,
             *(soft if stance.passed else ()),
             *(() if gains and gains[0] in causes else gains),
+            *(_describe_base(stance) if height_first else ()),
         ),
         causes=causes,
         details=tuple(_list_details(stance)),
@@ -321,6 +323,14 @@ def _describe_peak_torque(stance: Stance, word_of_verdict: doc.Text) -> doc.Text
     return text("load-of-motors", **values, full=False)
 
 
+def _is_height_requested(stance: Stance, robot: Robot | None) -> bool:
+    """Return True if the height of the task differs from the default height of the robot."""
+    height = stance.stand.task.height
+    if robot is None or height is None or is_base_bolted(stance.stand):
+        return False
+    return not math.isclose(height, robot.base_height, abs_tol=1e-6)
+
+
 def _describe_base(stance: Stance) -> Iterable[doc.Words]:
     """Yield the stance with the base height, or that the base is bolted; nothing if unknown."""
     if is_base_bolted(stance.stand):
@@ -422,13 +432,16 @@ def _describe_minimum_stiffness(stance: Stance) -> Iterable[doc.Words]:
         yield doc.diagnostic_text(stance.no_stiffness).with_mark("warn")
 
 
-def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the findings of a stance, such as the sag and the largest force of each hand."""
+def _list_findings(stance: Stance, gains: tuple[doc.Words, ...]) -> Iterable[doc.Words]:
+    """Yield the findings of a stance, such as the sag and the largest force of each hand.
+
+    ``gains`` precede the findings in line 2.
+    """
     settled = stance.settled
     if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     elif settled is not None and not _is_settled_state_detail(stance, settled):
-        yield _describe_settled_state(stance, settled)
+        yield _describe_settled_state(stance, settled, *gains)
     for press in stance.presses:
         yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
 
@@ -447,10 +460,29 @@ def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
     return stance.verdict.commands_alone not in (None, Ending.HOLDS)
 
 
-def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
-    """Return the text of the equilibrium without feed-forward: height, sag [mm], reservations."""
+def _describe_settled_state(
+    stance: Stance, settled: SteadyState, *preceding: doc.Words
+) -> doc.Words:
+    """Return the text of the equilibrium without feed-forward: height, sag [mm], reservations.
+
+    The short form is abbreviated if it does not fit into line 2 after the texts ``preceding``.
+    """
+    full = _format_settled_state(stance, settled, full=True)
+    line = "; ".join(doc.translate(words, "en", short=True) for words in (*preceding, full))
+    if len(line) + _INDENT <= doc.MAX_ANSWER_WIDTH:
+        return full
+    return _format_settled_state(stance, settled, full=False)
+
+
+_INDENT = 2
+"""Number of spaces before line 2 of a short answer."""
+
+
+def _format_settled_state(stance: Stance, settled: SteadyState, *, full: bool) -> doc.Words:
+    """Return the text of `_describe_settled_state`; in short "uncompensated" unless ``full``."""
     description = text(
         "settles-at",
+        full=full,
         # Height above the ground as in the task; on a slope, not the world's z.
         height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
         loss=f"{1e3 * settled.height_loss:z.2f}",
