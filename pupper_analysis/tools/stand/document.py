@@ -133,7 +133,9 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     requested = tuple(_describe_minimum_stiffness(stance))
     # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
-    height_first = _is_height_requested(stance, robot) and stance.passed and not qualified
+    # If the first finding does not fit into line 2 after the gains, the base height takes its room.
+    findings = tuple(_list_findings(stance, gains))
+    height_first = stance.passed and not qualified and not _fits_second_line(*gains, *findings[:1])
     # The cause of a failure of the unmodified file is part of the verdict.
     own_soft = _has_soft_drives(stance)
     # A file that ties the robot to the world explains a failure, unlike soft servos.
@@ -168,7 +170,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *(requested if qualified else ()),
             *(gains if qualified else ()),
             *(soft if skipped else ()),
-            *_list_findings(stance, gains),
+            *findings,
             *(() if height_first else _describe_base(stance)),
         ),
         limits=()
@@ -323,14 +325,6 @@ def _describe_peak_torque(stance: Stance, word_of_verdict: doc.Text) -> doc.Text
     return text("load-of-motors", **values, full=False)
 
 
-def _is_height_requested(stance: Stance, robot: Robot | None) -> bool:
-    """Return True if the height of the task differs from the default height of the robot."""
-    height = stance.stand.task.height
-    if robot is None or height is None or is_base_bolted(stance.stand):
-        return False
-    return not math.isclose(height, robot.base_height, abs_tol=1e-6)
-
-
 def _describe_base(stance: Stance) -> Iterable[doc.Words]:
     """Yield the stance with the base height, or that the base is bolted; nothing if unknown."""
     if is_base_bolted(stance.stand):
@@ -468,10 +462,15 @@ def _describe_settled_state(
     The short form is abbreviated if it does not fit into line 2 after the texts ``preceding``.
     """
     full = _format_settled_state(stance, settled, full=True)
-    line = "; ".join(doc.translate(words, "en", short=True) for words in (*preceding, full))
-    if len(line) + _INDENT <= doc.MAX_ANSWER_WIDTH:
+    if _fits_second_line(*preceding, full):
         return full
     return _format_settled_state(stance, settled, full=False)
+
+
+def _fits_second_line(*texts: doc.Words) -> bool:
+    """Return True if the short forms of texts fit into line 2 of the short answer."""
+    line = "; ".join(doc.translate(words, "en", short=True) for words in texts)
+    return len(line) + _INDENT <= doc.MAX_ANSWER_WIDTH
 
 
 _INDENT = 2
