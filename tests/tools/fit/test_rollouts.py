@@ -22,6 +22,7 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     MovingBodies,
     Simulator,
     _apply_lag,
+    shorten_run,
     split_runs,
 )
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, find_moved_link
@@ -284,6 +285,20 @@ def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
     assert runs[0].counts[200:210, 0].all()
     assert not (runs[0].counts & runs[0].held_out).any()
     assert runs[0].held_out.sum() == pytest.approx(0.2 * 400 * 4, abs=8)
+
+
+def test_shortened_run_contains_the_motion_of_each_joint() -> None:
+    """A joint that first moves after 12 s needs 16 of 30 s. A joint that never moves needs none."""
+    log = make_moving_log(30.0)
+    run = next(split_runs(replace(log, position=log.command), MIDDLE, 0.0))
+    assert shorten_run(run, 4.0).time[-1] == pytest.approx(4.0, abs=0.006)
+    late = run.position.copy()
+    late[run.time < 12.0, 0] = late[-1, 0]
+    late[:, 1] = 0.3
+    short = shorten_run(replace(run, position=late), 4.0)
+    assert short.time[-1] == pytest.approx(16.0, abs=0.006)
+    assert len(short.position) == len(short.command) == len(short.counts) == len(short.time)
+    assert shorten_run(run, 40.0) is run
 
 
 def test_correlated_noise_gives_the_true_uncertainty_of_sums() -> None:

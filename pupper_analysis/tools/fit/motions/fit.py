@@ -37,6 +37,7 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     LogSegment,
     MomentCoordinates,
     Simulator,
+    shorten_run,
     split_runs,
 )
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
@@ -437,6 +438,11 @@ _ROUGH_MIN_DECREASE = 10.0
 assumes white noise. Chosen, not tuned.
 """
 
+_ROUGH_DURATION = 5.0
+"""Smallest duration [s] of a run in the first pass (`shorten_run`). The first pass needs most
+iterations, and determines only the initial guess of the second pass. Chosen, not tuned.
+"""
+
 _MIN_RELATIVE_DECREASE = 5e-3
 """Decrease of the cost, relative to the cost, at or below which slow progress is a stall. The cost
 is then limited by the model, for example by joints that stick: 0.5 % of the cost changes the RMS
@@ -474,7 +480,7 @@ class MotionResiduals:
     """Residuals between measured and simulated runs, whitened by noise models, for a fit.
 
     Predictions use fine simulation steps; derivatives use coarse steps, since derivatives need many
-    times as many simulations.
+    times as many simulations. The first pass of a fit uses coarse steps and shortened runs.
 
     Args:
         simulator: Simulator with coarse steps.
@@ -485,6 +491,7 @@ class MotionResiduals:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
         self.fine_simulator = simulator.with_steps(_FINE_STEP_FACTOR * simulator.steps)
+        self._predictor = self.fine_simulator
         self.moments = MomentCoordinates(self.table)
         self._noise: tuple[SeriesNoise, ...] = ()
         self._is_autoregressive = False
@@ -540,7 +547,7 @@ class MotionResiduals:
         """
         vector = self.moments.to_parameters(moments)
         residuals = [
-            self.fine_simulator.predict_positions(run, [vector])[0]
+            self._predictor.predict_positions(run, [vector])[0]
             - np.where(run.counts, run.position, np.nan)
             for run in self.fitted
         ]
@@ -625,10 +632,14 @@ class MotionResiduals:
             FitError: If the iteration does not converge, for example.
         """
         moments = self.moments.from_parameters(self.table.stated)
-        for self._is_autoregressive, min_decrease in (
-            (False, _ROUGH_MIN_DECREASE),
-            (True, _MIN_DECREASE),
-        ):
+        whole_runs = self.fitted
+        shortened_runs = tuple(shorten_run(run, _ROUGH_DURATION) for run in whole_runs)
+        for is_second_pass, min_decrease in ((False, _ROUGH_MIN_DECREASE), (True, _MIN_DECREASE)):
+            self._is_autoregressive = is_second_pass
+            self.fitted = whole_runs if is_second_pass else shortened_runs
+            self._predictor = self.fine_simulator if is_second_pass else self.simulator
+            if is_second_pass and shortened_runs != whole_runs:
+                self._derivative_point = None  # the derivatives belong to shortened runs
             posterior = estimate_parameters(
                 self.table,
                 self.linearise,

@@ -22,6 +22,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import lfilter
 
 from pupper_analysis.base.array_types import Array, IntArray
+from pupper_analysis.base.progress import report_progress
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations
@@ -52,10 +53,11 @@ this velocity decays within some time constants kd / kp of the servos (for examp
 Chosen, not tuned.
 """
 
-_MAX_STEP_RATE = 0.5
+_MAX_STEP_RATE = 1.0
 """Upper bound of the product of time step [s] and fastest rate (kd + damping) / inertia [1/s]. The
-time step is chosen to keep this bound, unless `_MAX_STEPS_PER_SAMPLE` prevents it. At the bound,
-the error of a step of the Runge-Kutta method is about 0.5^5 / 120 = 2.6e-4. Chosen, not tuned.
+time step is chosen to keep this bound, unless `_MAX_STEPS_PER_SAMPLE` prevents it. The Runge-Kutta
+method is stable up to 2.8. Measured on a Panda arm (2 s, kd 3 to 30 N m s/rad): with this bound,
+the standard deviations of the parameters differ from those of a quarter of the step by at most 1 %.
 """
 
 _MAX_STEPS_PER_SAMPLE = 20
@@ -125,6 +127,46 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
         yield LogSegment(
             time, part.position, command, initial_state, measured & ~is_late, measured & is_late
         )
+
+
+def shorten_run(run: LogSegment, duration: float) -> LogSegment:
+    """Return the start of a run in which all joints move about as much as in the whole run.
+
+    The duration is doubled until the standard deviation of the positions of each joint is at least
+    `_MIN_MOTION_FRACTION` of that of the whole run.
+
+    Args:
+        run: Run with fitted positions.
+        duration: Smallest duration [s].
+    """
+
+    def measure_motion(rows: slice) -> Array:
+        counts = run.counts[rows]
+        number = np.maximum(counts.sum(axis=0), 1)
+        positions = np.where(counts, run.position[rows], 0.0)
+        deviations = np.where(counts, positions - positions.sum(axis=0) / number, 0.0)
+        return np.asarray(np.sqrt((deviations**2).sum(axis=0) / number))
+
+    whole = measure_motion(slice(None))
+    while duration < run.time[-1]:
+        rows = slice(int(np.searchsorted(run.time, duration, side="right")))
+        if (measure_motion(rows) >= _MIN_MOTION_FRACTION * whole).all():
+            return replace(
+                run,
+                time=run.time[rows],
+                position=run.position[rows],
+                command=run.command[rows],
+                counts=run.counts[rows],
+                held_out=run.held_out[rows],
+            )
+        duration *= 2
+    return run
+
+
+_MIN_MOTION_FRACTION = 0.5
+"""Smallest standard deviation of the positions of a joint in a shortened run, as a fraction of the
+standard deviation in the whole run. Chosen, not tuned.
+"""
 
 
 def _fill_commands(command: Array) -> Array:
@@ -232,10 +274,11 @@ class Simulator:
         The result, joint positions plus encoder offsets, has the shape (k, n, nu) [rad, m] for k
         vectors and n samples.
         """
-        starts = range(0, len(vectors), _MAX_BATCH_SIZE)
-        return np.concatenate(
-            [self._predict_batch(run, vectors[start : start + _MAX_BATCH_SIZE]) for start in starts]
-        )
+        batches = []
+        for start in range(0, len(vectors), _MAX_BATCH_SIZE):
+            report_progress("motions", start, len(vectors))
+            batches.append(self._predict_batch(run, vectors[start : start + _MAX_BATCH_SIZE]))
+        return np.concatenate(batches)
 
     def _predict_batch(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
         """Predict the encoder positions of a run, shape (k, samples, nu) [rad, m]."""
