@@ -287,6 +287,33 @@ def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
     assert runs[0].held_out.sum() == pytest.approx(0.2 * 400 * 4, abs=8)
 
 
+def test_derivatives_without_friction_equal_those_with_little_friction() -> None:
+    """Steps along eigenvectors decrease a friction of 0, which the simulation replaces by 0.
+    Reference: derivatives of the positions [rad] with 0.02 N m, more than a step. The derivative by
+    friction itself changes, because the joint sticks.
+    """
+    robot, random = load("v3", fixed_base=True), np.random.default_rng(4)
+    given = table(robot, ("leg_front_r_3",), 0.05)
+    time = np.arange(0, 1.05, 0.005)
+    command = robot.home + 0.3 * np.sin(6 * time)[:, None]
+    (run,) = split_runs(Log("v3", time, robot.joint_names, command, command), robot.home, 0.0)
+    simulator = Simulator(robot, model_with_servos(robot), given, 0.005)
+    moments, size = MomentCoordinates(given), len(given)
+    friction = [parameter.kind for parameter in given].index("friction")
+    root = random.normal(size=(size, size))
+    information = 100.0 * (root @ root.T + size * np.eye(size))
+    rates = []
+    for value in (0.0, 0.02):
+        point = given.stated.copy()
+        point[friction] = value
+        found = differentiate_motion(
+            simulator, moments, run, moments.from_parameters(point), information
+        )
+        rates.append(next(rows for columns, rows in found.values() if friction in columns))
+    error = np.abs(rates[0] - rates[1]).max(axis=(0, 1)) / np.abs(rates[1]).max(axis=(0, 1))
+    assert np.delete(error, friction).max() < 0.5
+
+
 def test_shortened_run_contains_the_motion_of_each_joint() -> None:
     """A joint that first moves after 12 s needs 16 of 30 s. A joint that never moves needs none."""
     log = make_moving_log(30.0)

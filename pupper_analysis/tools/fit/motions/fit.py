@@ -774,6 +774,10 @@ _INITIAL_DIFFERENCE_STEP = 1e-2
 not known at that time. Chosen, not tuned.
 """
 
+_BOUNDED_KINDS = ("friction", "armature")
+"""Kinds of parameters whose negative values the simulation replaces by 0. Derivatives near 0 are
+evaluated at the size of the largest negative finite-difference step."""
+
 
 def differentiate_motion(
     simulator: Simulator,
@@ -814,6 +818,9 @@ def differentiate_motion(
         rows = slice(len(columns)) if len(steps) <= len(groups) else slice(num_turns, None)
         changes[rows, columns] = steps[-1]
     changes *= width
+    # The simulation replaces negative values by 0, which would spoil the differences.
+    is_bounded = [parameter.kind in _BOUNDED_KINDS for parameter in simulator.table]
+    point = np.maximum(point, np.where(is_bounded, -changes.min(axis=0), -np.inf))
 
     vectors = [moments.to_parameters(vector) for vector in (point, *(point + changes))]
     predicted = simulator.predict_positions(run, vectors)
