@@ -76,7 +76,8 @@ def find_menagerie_file(word: str) -> Path:
         folder = cache.model_path(robot) if cache.is_cached(robot) else None
     if folder is None:
         download = make_menagerie_download(name)
-        raise ModelError(word, diagnose("menagerie-not-downloaded", download=download))
+        problem = diagnose("menagerie-not-downloaded", download=download, fixed=False)
+        raise ModelError(word, problem)
     file = folder.joinpath(*rest) if rest else _find_default_file(folder, name, robot)
     if file is None or not file.is_file():
         files = sorted(path.name for path in folder.glob("*.xml"))

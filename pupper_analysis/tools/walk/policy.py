@@ -175,7 +175,8 @@ def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tu
         policies = sorted({path for part in folders for path in part.glob("*.onnx")})
     if len(policies) != 1:
         names = tuple(map(str, policies))
-        raise ConfigurationError("policy", diagnose("one-policy-needed", names=names))
+        problem = diagnose("one-policy-needed", names=names, example=None)
+        raise ConfigurationError("policy", problem)
     return policies[0], others
 
 
