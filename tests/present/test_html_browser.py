@@ -333,7 +333,7 @@ def test_page_has_light_and_dark_themes_and_fits_a_phone(
 ) -> None:
     """A screen of 360 pixels: no horizontal scrolling, also with a long verdict."""
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
-    long = "CARRIES (short-term, at peak torque)"
+    long = "CARRIES (for moments, at peak torque)"
     one.page.locator(".verdict .en").first.evaluate(f"one => one.textContent = {long!r}")
     wide = one.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide[0] <= wide[1]

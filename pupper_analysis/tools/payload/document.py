@@ -131,12 +131,16 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Text:
     file, torque_limits = name_only_format(limit.verdict.converted), _describe_torque_limits(limit)
     kind = "peak" if torque_limits["peak"] else "continuous"
     alone = _describe_mass_by_commands_alone(limit)
+    # The short form has no room beside a file, a place or a second mass.
+    shown = "" if file or torque_limits["part"] or np.any(limit.point) or alone else kind
+    brief = bool(torque_limits["peak"]) and not shown
     return text(
         "carries-with-limits",
         file=file,
         compensated=_carries_only_with_feedforward(limit),
-        # The short form has no room beside a file, a place or a second mass.
-        shown="" if file or torque_limits["part"] or np.any(limit.point) or alone else kind,
+        shown=shown,
+        brief=brief,
+        moments=not brief and not torque_limits["continuous"],
         **torque_limits,
     )
 

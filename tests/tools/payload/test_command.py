@@ -1,4 +1,4 @@
-"""The command ``payload``: short-term and permanent payloads, and exit status."""
+"""The command ``payload``: payloads for moments, and permanent payloads, and exit status."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         found[option] = answer.partition(") v3: ")[0], json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "CARRIES (permanently"
-    assert found["--effort"][0] == "CARRIES (short-term"
+    assert found["--effort"][0] == "CARRIES (peak torque"
 
 
 @pytest.mark.slow

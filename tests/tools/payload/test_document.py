@@ -166,15 +166,15 @@ def test_first_line_fits_with_a_long_name_of_a_robot() -> None:
     result.verdict = replace(result.verdict, converted="mjcf")
     verdict = payload_document(result).verdict
     assert isinstance(verdict, Text)
-    assert verdict.short == "CARRIES (short-term; URDF only)"
+    assert verdict.short == "CARRIES (peak torque; URDF only)"
     assert len(f"{verdict.short} go2_description: {line}") <= MAX_ANSWER_WIDTH
 
 
 @pytest.mark.parametrize(
     ("continuous", "conditions"),
     [
-        ((), "short-term, at peak torque"),
-        (("hip",), "short-term: 1 motor at peak torque"),
+        ((), "for moments, at peak torque"),
+        (("hip",), "for moments: 1 motor at peak torque"),
         (("hip", "knee"), "permanently, at continuous torque"),
     ],
 )
