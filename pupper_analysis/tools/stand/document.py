@@ -134,8 +134,10 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     # Line 2 is the reason for a qualified verdict: texts of the verdict, before the gains.
     qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
     # If the first finding does not fit into line 2 after the gains, the base height takes its room.
-    findings = tuple(_list_findings(stance, gains))
-    height_first = stance.passed and not qualified and not _fits_second_line(*gains, *findings[:1])
+    preceding = (*requested, *soft, *gains)
+    findings = tuple(_list_findings(stance, preceding))
+    fits = _fits_second_line(*preceding, *findings[:1])
+    height_first = stance.passed and not qualified and not fits
     # The cause of a failure of the unmodified file is part of the verdict.
     own_soft = _has_soft_drives(stance)
     # A file that ties the robot to the world explains a failure, unlike soft servos.
@@ -426,16 +428,16 @@ def _describe_minimum_stiffness(stance: Stance) -> Iterable[doc.Words]:
         yield doc.diagnostic_text(stance.no_stiffness).with_mark("warn")
 
 
-def _list_findings(stance: Stance, gains: tuple[doc.Words, ...]) -> Iterable[doc.Words]:
+def _list_findings(stance: Stance, preceding: tuple[doc.Words, ...]) -> Iterable[doc.Words]:
     """Yield the findings of a stance, such as the sag and the largest force of each hand.
 
-    ``gains`` precede the findings in line 2.
+    The texts ``preceding`` are before the findings in line 2.
     """
     settled = stance.settled
     if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))
     elif settled is not None and not _is_settled_state_detail(stance, settled):
-        yield _describe_settled_state(stance, settled, *gains)
+        yield _describe_settled_state(stance, settled, *preceding)
     for press in stance.presses:
         yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
 

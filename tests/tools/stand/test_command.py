@@ -295,7 +295,7 @@ def test_the_second_line_states_the_gains_with_their_bounds(
     """Reference: least kp 2.44 (bare MuJoCo: 2.25 to 2.38), largest kd 2.6 (2.7 to 3.0)."""
     status, out, err = run_command(capfd, "stand", "v3")
     assert status == 0, err
-    assert "kp 5 N m/rad (min 2.44), kd 0.1 N m s/rad (max 2.6); sag" in out.splitlines()[1]
+    assert "kp 5 N m/rad (min 2.44), kd 0.1 N m s/rad (max 2.6); sinks" in out.splitlines()[1]
     assert max(map(len, out.splitlines())) <= MAX_ANSWER_WIDTH
 
 

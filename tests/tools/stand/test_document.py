@@ -21,7 +21,7 @@ from pupper_analysis.simulation.servo_bounds import SoftServos
 from pupper_analysis.simulation.verdict import VerdictCode, judge_stance
 from pupper_analysis.tools.stand.document import stance_document
 from tests.present.test_printed import print_words
-from tests.support.stubs import SERVO_BOUNDS, SERVOS, run, stance
+from tests.support.stubs import SERVO_BOUNDS, SERVOS, Stub, run, stance
 
 
 def hold_stance(largest_kd_factor: float) -> object:
@@ -224,3 +224,34 @@ def test_tie_to_the_world_precedes_too_soft_servos(code: str, effect: str, part:
     assert tie < servos
     assert document.next_step is not None
     assert document.next_step.command == "audit"
+
+
+@pytest.mark.parametrize("rolling_feet", [(), ("FR",)])
+def test_height_replaces_in_line_2_a_sag_that_does_not_fit(rolling_feet: tuple[str, ...]) -> None:
+    """Go2 with --height 20cm: neither height nor sag were in line 2. Width: 100 characters."""
+    settled = Stub(
+        height_loss=0.0083,
+        servo_sag=0.0,
+        contact_sag=0.0,
+        rolling_feet=rolling_feet,
+        failures=(),
+        release_margin=2.0,
+    )
+    standing = stance(
+        settled=settled,
+        passed=True,
+        minimum_stiffness=None,
+        servos=replace(SERVO_BOUNDS, least_kp_factor=0.5),
+        verdict=judge_stance(run(0.0, passed=True), None, SERVOS),
+    )
+    findings = stance_document(standing).findings
+    gains, second = [line.short for line in findings if isinstance(line, Text)][1:3]
+    (sag,) = [
+        line.short
+        for line in findings
+        if isinstance(line, Text) and line.short.startswith("sinks ")
+    ]
+    assert gains.startswith("kp ")
+    fits = len(f"  {gains}; {sag}") <= MAX_ANSWER_WIDTH
+    assert second == (sag if fits else "height 104.4 mm")
+    assert fits is (not rolling_feet)
