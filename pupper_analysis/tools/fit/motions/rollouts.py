@@ -133,7 +133,7 @@ def shorten_run(run: LogSegment, duration: float) -> LogSegment:
     """Return the start of a run in which all joints move about as much as in the whole run.
 
     The duration is doubled until the standard deviation of the positions of each joint is at least
-    `_MIN_MOTION_FRACTION` of that of the whole run.
+    `_MIN_MOTION_FRACTION` times the standard deviation in the whole run.
 
     Args:
         run: Run with fitted positions.
