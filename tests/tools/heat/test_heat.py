@@ -348,7 +348,7 @@ def test_refusal_proposes_a_motor_with_thermal_data(typed: str, fault: str, prop
 @pytest.mark.parametrize(
     ("typed", "missing"),
     [
-        ("--motor mit-mini-cheetah --limit 80", "motors of the hinges only"),
+        ("--motor mit-mini-cheetah --limit 80", "motors of hinges only"),
         ("--motor a_turn=mit-mini-cheetah --limit 80", ""),
         ("--motor a_turn=mit-mini-cheetah", "--limit"),
         ("", "--motor"),
