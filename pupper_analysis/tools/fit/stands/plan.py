@@ -100,20 +100,20 @@ class StandPlan(Result):
         stands: Stands.
         expected: Parameters with the stated values and the expected intervals.
         candidates: Number of random stands from which the stands were chosen.
+        place: Link and position of the known mass; None if there is none.
+        slides: Names of the joints that are slides.
         determined_by_all: {parameter kind: number of parameters that the measurements would
             determine if all candidates were measured}. Further stands determine about these
             parameters; kinds without such a parameter need a known value (a prior).
-        place: Link and position of the known mass; None if there is none.
-        slides: Names of the joints that are slides.
     """
 
     name: str
     stands: tuple[PlannedStand, ...]
     expected: tuple[Estimate, ...]
     candidates: int
-    determined_by_all: Mapping[str, int] = field(default_factory=dict)
     place: Tool | None = None
     slides: tuple[str, ...] = ()
+    determined_by_all: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def determined(self) -> Counter[str]:
