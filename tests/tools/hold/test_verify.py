@@ -11,7 +11,7 @@ from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
 from tests.prepare.test_own_run import codes
-from tests.prepare.test_planted import is_cause_right
+from tests.prepare.test_planted import causes, is_cause_right
 from tests.support import arm, arm_features, features
 
 
@@ -101,7 +101,7 @@ ODD = {
     "kp -800 at a joint": ("own-servos-fail", "own-run"),
     "servos in a disabled group": ("actuators-disabled",),
     "timeconst 10": ("timeconst-too-long",),
-    "forcerange 5": ("forcerange-cuts-off",),
+    "forcerange 5": ("motors-overloaded", "forcerange-cuts-off"),
     "ctrlrange": ("ctrlrange-cuts-off",),
     "joint damping -30": ("joints-damped-negatively", "rests-on-made-up"),
     "a thruster": ("motors-elsewhere-push",),
@@ -115,3 +115,5 @@ def test_planted_fault_of_an_arm_is_named(tmp_path: Path, feature: str) -> None:
     """The first reported causes are those of `ODD`; see `is_cause_right`."""
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])
     assert is_cause_right(urdf, mjcf, ODD[feature], judge_posture)
+    if feature == "forcerange 5":  # the overloaded motor, then the range that limits the motor
+        assert causes(judge_posture(urdf, mjcf))[:2] == list(ODD[feature])
