@@ -231,5 +231,5 @@ def test_proposed_efforts_name_all_unknown_motors() -> None:
     units = {"lift": "N", "hip": "N m", "knee": "N m", "pin": "N m"}
     torques = {"lift": 0.0, "hip": 3.0, "knee": -5.0, "pin": 0.0}
     words = format_example_efforts(("lift", "hip", "knee"), torques, units)
-    assert words == ("--effort", "lift=10", "--effort", "hip=10", "--effort", "knee=10")
+    assert words == ("--effort", "lift=5", "--effort", "hip=5", "--effort", "knee=5")
     assert format_example_efforts(("lift",), torques, units) == ()
