@@ -49,10 +49,9 @@ def format_example_efforts(
 ) -> tuple[str, ...]:
     """Return options ``--effort`` with an example for the motors without a stated limit.
 
-    The example is the largest torque of these motors, the smallest limit with which no such motor
-    limits the result. Three digits, rounded up (`format_required_effort`). Hinges and slides have
-    separate examples; the number is the same for both if either have no torque. Empty if all
-    torques are zero.
+    The example is the largest of the torques, rounded up (`format_required_effort`). A simulation
+    with nudges may need more torque. Hinges and slides have separate examples; the number is the
+    same for both if either have no torque. Empty if all torques are zero.
 
     Args:
         unknown: Joints of the motors without a stated limit.
