@@ -203,7 +203,7 @@ def _format_point(limit: PayloadLimit) -> str:
 
 
 def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
-    """Yield texts of the failure that limits the payload, without compensation, and of the motors.
+    """Yield the failures with and without gravity compensation, and the load of the motors.
 
     Nothing if the payload depends on unknown torque limits.
     """
@@ -212,6 +212,9 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
     name, following = _find_following_bound(limit)
     is_same = _fails_alone_alike(limit)
     yield _describe_limiting_failure(limit, alone_alike=is_same)
+    if limit.failures_alone and not is_same:
+        mass = mass_text(limit.mass_by_commands_alone)
+        yield text("payload-alone-limited", mass=mass, failure=_describe_failure_alone(limit))
     motors = () if "motors" in limit.binding else tuple(_describe_motor_utilisation(limit))
     if following is not None:
         cause, bound = word(following.failure.value), text(_BOUND_KEYS[name])
@@ -221,9 +224,6 @@ def _list_limits(limit: PayloadLimit) -> Iterator[doc.Words]:
             for line in motors:
                 bound_text = bound_text.with_short_form(line)
         yield bound_text
-    if limit.failures_alone and not is_same:
-        mass = mass_text(limit.mass_by_commands_alone)
-        yield text("payload-alone-limited", mass=mass, failure=_describe_failure_alone(limit))
     if name != "motors":
         yield from motors
 

@@ -234,4 +234,4 @@ def test_added_servos_fit_beside_a_part_that_touches_the_ground() -> None:
     result.failures_alone = (diagnose("height-drifts", drift=Quantity(-1e-3, "m/s")),)
     second = printed(payload_document(result), everything=False).splitlines()[1]
     limits = "  limit 66.89 kg: RL_calf touches the ground"
-    assert second == f"{limits}; limit 39.54 kg: the height drifts by -1.00 mm/s"
+    assert second == f"{limits}; limit 39.54 kg: height drifts by -1.00 mm/s"
