@@ -399,20 +399,17 @@ class ControlledStand:
         return end_speed < max(_REST_SPEED, _MAX_DECAY_RATIO * half_speed)
 
 
-def find_largest_damping_factor(
-    loop: ControlledStand, kp: Array, kd: Array, *, tolerance: float = FACTOR_TOLERANCE
-) -> float:
+def find_largest_damping_factor(loop: ControlledStand, kp: Array, kd: Array) -> float:
     """Find the largest factor on the damping gains with which a controlled stand is stable.
 
     Args:
         loop: Controlled stand.
         kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
         kd: Damping of all joints to which the factor applies, shape (nu,) [N m s/rad, N s/m].
-        tolerance: Relative tolerance of the factor [1].
 
     Returns:
-        Factor [1]. Infinite if the stand is stable up to `MAX_FACTOR`; NaN if no tried power of 2
-        is stable.
+        Factor [1], at most `FACTOR_TOLERANCE` below the largest one. Infinite if the stand is
+        stable up to `MAX_FACTOR`; NaN if no tried power of 2 is stable.
     """
 
     def is_stable(factor: float) -> bool:
@@ -423,7 +420,7 @@ def find_largest_damping_factor(
     stable = next((2.0**power for power in powers if is_stable(2.0**power)), math.nan)
     while stable < MAX_FACTOR:
         if not is_stable(2 * stable):
-            return bisect_factor(is_stable, stable, 2 * stable, tolerance)
+            return bisect_factor(is_stable, stable, 2 * stable, FACTOR_TOLERANCE)
         stable *= 2
     return math.nan if math.isnan(stable) else math.inf
 

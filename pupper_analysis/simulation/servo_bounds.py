@@ -38,10 +38,6 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
 from pupper_analysis.stance.stand import Stand
 
-_DAMPING_TOLERANCE = 0.02
-"""Relative tolerance [1] of the bisection for the maximum damping. Chosen for results with two
-digits."""
-
 _TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
 """Ratios [1] of the simulated stiffness to the minimum stiffness (`minimum_stiffness`), in the
 order of simulation. The simulations end at the first ratio with which the robot stands. Chosen, not
@@ -358,5 +354,5 @@ def _bound_damping(
     if not kd.any():
         return None
     factor = 1.0 if least is None else max(1.0, _STABLE_RATIO * least)
-    most = find_largest_damping_factor(loop, factor * kp, kd, tolerance=_DAMPING_TOLERANCE)
+    most = find_largest_damping_factor(loop, factor * kp, kd)
     return None if math.isnan(most) else most
