@@ -205,6 +205,7 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
         height=f"{1e3 * analysis.stand.qpos[2]:.1f}",
         held=_format_height(analysis.verification),
         let_go=_format_height(analysis.sagging),
+        sunk=_format_sunk_height(analysis),
     )
     check = analysis.check
     worst = next(quantity for quantity in check.quantities if quantity.name == check.worst)
@@ -220,6 +221,12 @@ def _format_height(run: StandVerification) -> doc.Words:
     if not np.isfinite(run.base_height):
         return text("diverged")
     return doc.Name(f"{1e3 * run.base_height:.1f} mm")
+
+
+def _format_sunk_height(analysis: Analysis) -> str:
+    """Format the loss of base height without feed-forward in mm; "" if the run diverged."""
+    sunk = 1e3 * (analysis.stand.qpos[2] - analysis.sagging.base_height)
+    return f"{sunk:.1f}" if np.isfinite(sunk) else ""
 
 
 def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
