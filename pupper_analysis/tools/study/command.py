@@ -12,7 +12,7 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.cli import shared
 
 if TYPE_CHECKING:
@@ -133,6 +133,7 @@ def command(
     Exit status: 0 all designs were evaluated, 1 no design has a value of a metric, or the files of
     a written design give other metrics, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.base.inputs import path_exists
     from pupper_analysis.models.published import is_published_name
     from pupper_analysis.present.document import NextStep
     from pupper_analysis.pupper.named_robots import is_variant
@@ -142,6 +143,8 @@ def command(
 
     if is_variant(file) or is_published_name(str(file)):
         raise ConfigurationError("FILE", diagnose("study-of-variant", variant=str(file)))
+    if not path_exists(file):
+        raise _make_missing_file_error(file, folder)
     with shared.show_progress("reading the study, and loading its robot"):
         study = Study.read(file)
     if folder is None:  # after the file, so that a wrong name is reported first
@@ -168,6 +171,23 @@ def command(
     if numbers:
         passed = _write_designs(study, numbers, folder, style, everything) and passed
     shared.finish_command(json_path, outcome.table.to_dict(orient="list"), passed=passed)
+
+
+def _make_missing_file_error(file: Path, folder: Path | None) -> InputError:
+    """Return the error about a missing study file, with the command to run next.
+
+    The command repeats the study with a similar file, or prints the help with an example.
+    """
+    from pupper_analysis.base.inputs import find_similar_files
+    from pupper_analysis.cli.next_step import complete_command
+    from pupper_analysis.present.document import NextStep
+
+    alike = [str(similar) for similar in find_similar_files(file) if similar.suffix == ".toml"]
+    error = InputError(file, diagnose("study-file-missing", alike=alike))
+    output = () if folder is None else ("-o", str(folder))
+    words = (alike[0], *output) if alike else ("--help",)
+    error.add_note(complete_command(NextStep("study", words, robot_typed=False)))
+    return error
 
 
 def _write_designs(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import pytest
 
+from pupper_analysis.tools.study.study import Study
 from tests.support import arm
 from tests.support.commands import run_command
 
@@ -57,3 +59,32 @@ def test_fixed_base_names_the_command_that_holds_it(
         "hold computes torques"
     )
     assert step == f"  next: pupper-analysis hold {path}"
+
+
+def test_missing_study_file_names_a_similar_file_or_the_example(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The printed next commands are complete."""
+    (tmp_path / "legs.toml").write_text('robot = "v3"\n')
+    status, _, err = run_command(capfd, "study", str(tmp_path / "leg.toml"), "-o", "legs")
+    fault, step = err.splitlines()
+    assert status == 2
+    assert fault.endswith(f"there is no such file; did you mean {tmp_path / 'legs.toml'}?")
+    assert step == f"  next: pupper-analysis study {tmp_path / 'legs.toml'} -o legs"
+    status, _, err = run_command(capfd, "study", str(tmp_path / "other.toml"), "-o", "legs")
+    fault, step = err.splitlines()
+    assert status == 2
+    assert fault.endswith("there is no such file; study --help contains an example")
+    assert step == "  next: pupper-analysis study --help"
+
+
+def test_example_of_the_help_is_a_complete_study_file(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The error about a missing file refers to this example."""
+    status, out, _ = run_command(capfd, "study", "--help")
+    assert status == 0
+    example = out.split("Example of a file:\n")[1].split("\n\n")[0]
+    file = tmp_path / "example.toml"
+    file.write_text(textwrap.dedent(example))
+    assert len(Study.read(file)) == 9 * 9 * 3
