@@ -730,6 +730,8 @@ def body_changes(
 ) -> Iterable[Change]:
     """Yield the differences of mass, CoM and inertia of two bodies that exceed the tolerances.
 
+    The CoM of a body without mass is undefined, and is not compared.
+
     Args:
         name: Name of the compared body: the joint that moves the body, or the base.
         one: Body of the first model (URDF).
@@ -743,7 +745,7 @@ def body_changes(
         guess = {"guess": describe_ratio(*mass)}
         yield change_of("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
     distance = float(np.linalg.norm(two.com - one.com))
-    if distance > tolerances.com:
+    if distance > tolerances.com and any(mass):
         coms, details = (one.com, two.com), {"distance": Quantity(distance, "m")}
         yield change_of("com-differs", "com", body, coms, "m", sides, details, element=name)
     scale = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))

@@ -382,10 +382,13 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Collect masses [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2]: {name: values}."""
+    """Collect masses [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2]: {name: values}.
+
+    The CoM of a body without mass is undefined; 0 takes its place.
+    """
     return {
         "body masses": [body.mass for body in bodies],
-        "body coms": [np.array(body.lever) for body in bodies],
+        "body coms": [np.array(body.lever) if body.mass else np.zeros(3) for body in bodies],
         "body inertias": [np.array(body.inertia) for body in bodies],
     }
 

@@ -192,6 +192,43 @@ def test_fixed_base_is_compared_in_both_engines(tmp_path: Path) -> None:
     assert comparison.check.passed
 
 
+@pytest.mark.parametrize(("mass", "agree"), [(0.0, True), (1.0, False)])
+def test_com_of_a_fixed_base_without_mass_is_not_compared(
+    mass: float, agree: bool, tmp_path: Path
+) -> None:
+    """The CoM of a body without mass is undefined: `convert` refused its own file, "com apart"."""
+    inertia = 'ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"'
+    urdf, mjcf = tmp_path / "robot.urdf", tmp_path / "robot.xml"
+    plate = f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>' if mass else ""
+    urdf.write_text(
+        f"""<robot name="robot"><link name="stand"/><link name="plate">{plate}</link>
+        <joint name="mount" type="fixed"><parent link="stand"/><child link="plate"/>
+          <origin xyz="0 0 0.7"/></joint>
+        <link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/><inertia {inertia}/>
+        </inertial></link>
+        <joint name="hinge" type="revolute"><parent link="plate"/><child link="arm"/>
+          <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="20" velocity="3"/></joint>
+        </robot>"""
+    )
+    # The body of the MJCF is 0.2 m above the CoM of the plate; 0 would be its CoM without a mass.
+    plate = f'<inertial pos="0 0 0.2" mass="{mass}" diaginertia="0.01 0.01 0.01"/>' if mass else ""
+    mjcf.write_text(
+        f"""<mujoco model="robot"><compiler angle="radian"/><worldbody>
+        <body name="stand"><body name="plate" pos="0 0 0.7">{plate}<body name="arm">
+          <joint name="hinge" axis="0 1 0" range="-1 1"/>
+          <inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></body></body>
+        </worldbody>
+        <actuator><position joint="hinge" kp="50" forcerange="-20 20"/></actuator></mujoco>"""
+    )
+    comparison = compare_files(Files(urdf, mjcf))
+    assert comparison.agree is agree
+    (coms,) = [one for one in comparison.check.quantities if one.name == "body coms"]
+    assert (coms.relative < 1e-12) is agree
+    assert {difference.kind for difference in comparison.differences} == (
+        set() if agree else {"com"}
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["equal", "different", "unlimited"])
 def test_json_of_a_comparison_has_all_fields_and_no_infinite_number(
