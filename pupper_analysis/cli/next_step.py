@@ -106,6 +106,9 @@ def complete_command(step: NextStep | None) -> str:
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
     if typed_robot and step.command != context.command.name:
         typed_robot = list(context.meta.get(ROBOT_WORDS, typed_robot))
+    if step.of_mjcf:
+        endings = (".xml", ".mjcf")
+        typed_robot = [word for word in typed_robot if word.endswith(endings)] or typed_robot
     if typed_robot and step.command not in _COMMANDS_OF_FORMATS:
         typed_robot = [word for word in typed_robot if find_format(Path(word)) is None]
         if not typed_robot:  # the command would load its default robot

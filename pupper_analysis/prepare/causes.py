@@ -39,7 +39,7 @@ from pupper_analysis.prepare.published_model import (
     list_unmatched_joints,
 )
 from pupper_analysis.robot.as_published import Cause
-from pupper_analysis.robot.build import compile_with_visuals
+from pupper_analysis.robot.build import SUPPORT_FLAGS, compile_with_visuals
 from pupper_analysis.robot.closure import find_closure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
@@ -176,6 +176,7 @@ def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCan
     Examples are actuators with a negative gear, springs, joint limits, and slippery contacts.
     """
     return [
+        *_list_flag_causes(published.model),
         *_list_sign_causes(published, robot),
         *_list_force_causes(published, robot),
         *_list_contact_causes(published),
@@ -310,6 +311,15 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
     yield from _yield_if_any("bias", named["bias"], "actuator_biasprm", (biased, 0))
     yield from _yield_if_any("gain", named["gain"], "actuator_gainprm", (uneven, 0), stiffnesses)
     yield from _yield_if_any("delay", named["delay"], "actuator_delay", motors[delayed])
+
+
+def _list_flag_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
+    """Yield the option flags that disable contacts, constraints or motors as a candidate cause."""
+    flags = model.opt.disableflags
+    named = [(bit.value, word) for bit, word in SUPPORT_FLAGS if flags & bit.value]
+    elements = tuple(f'flag {word}="disable"' for _, word in named)
+    enabled = flags & ~sum(bit for bit, _ in named)
+    yield from _yield_if_any("flag", elements, "disableflags", None, enabled)
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:

@@ -532,6 +532,8 @@ class NextStep:
             such file, the next command gets ``stance_words``; without these, the running command
             with ``--json`` is proposed first.
         stance_words: Options of the stance that was found, such as ``("--height", "10cm")``.
+        of_mjcf: True if the next command gets only the MJCF of two typed files, for example because
+            the MJCF contains the cause of a failure.
     """
 
     command: str
@@ -540,6 +542,7 @@ class NextStep:
     omitted: tuple[str, ...] = ()
     stance_found: bool = False
     stance_words: tuple[str, ...] = ()
+    of_mjcf: bool = False
 
 
 @dataclass(frozen=True)

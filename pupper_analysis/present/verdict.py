@@ -581,6 +581,7 @@ _FILES_DIFFER_CODE = "files-differ"
 
 _CAUSES = (
     _FILES_DIFFER_CODE,
+    "support-disabled",
     "ctrlrange-cuts-off",
     "forcerange-cuts-off",
     "actuatorfrcrange-cuts-off",
@@ -596,6 +597,7 @@ _CAUSES = (
 """
 
 _CAUSE_MESSAGES = {
+    "flag": "support-disabled",
     "exclude": "excluded-from-touching",
     "override": "contacts-overridden",
     "actuatorgroupdisable": "actuators-disabled",
@@ -685,9 +687,17 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
     causes = () if verdict.published is None else verdict.published.causes
+    if is_support_disabled(verdict):
+        return NextStep("audit", of_mjcf=True)
     if not (differs or two_robots or any(cause.code == "pair" for cause in causes)):
         return otherwise
     return NextStep("audit" if verdict.converted else "crosscheck")
+
+
+def is_support_disabled(verdict: Verdict) -> bool:
+    """Return True if a flag of the MJCF that disables contacts or motors explains the failure."""
+    published = verdict.published
+    return published is not None and any(cause.code == "flag" for cause in published.causes)
 
 
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:

@@ -497,7 +497,7 @@ equator."""
 _DISABLE_BIT = mujoco.mjtDisableBit
 """MuJoCo's enumeration of disable flags."""
 
-_REPORTED_FLAGS = (
+SUPPORT_FLAGS = (
     (_DISABLE_BIT.mjDSBL_CONTACT, "contact"),
     (_DISABLE_BIT.mjDSBL_CONSTRAINT, "constraint"),
     (_DISABLE_BIT.mjDSBL_ACTUATION, "actuation"),
@@ -514,7 +514,7 @@ def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     gravity = acting_gravity(model)
     if float(np.linalg.norm(gravity - DOWNWARD_GRAVITY)) > _GRAVITY_ATOL:
         yield diagnose("gravity-not-the-earths", gravity=gravity)
-    for bit, word in _REPORTED_FLAGS:
+    for bit, word in SUPPORT_FLAGS:
         if model.opt.disableflags & bit.value:
             yield diagnose("flag-disables", flag=word, motors=word == "actuation")
     groups = model.actuator_group

@@ -112,6 +112,8 @@ ODD: dict[str, tuple[str, ...]] = {
     "a heavier trunk": ("files-differ",),
     "an exclude of a foot": ("excluded-from-touching",),
     "a tilted floor": ("ground-not-level-as-published",),
+    "no actuation": ("support-disabled",),
+    "no contacts": ("support-disabled",),
     "one iteration": ("solver-too-rough",),
     "a time step of 20 ms": ("timestep-too-long",),
     "contacts overridden": ("contacts-overridden",),

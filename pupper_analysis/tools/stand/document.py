@@ -44,7 +44,7 @@ from pupper_analysis.present.documents.standing import (
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document, verdict_word
+from pupper_analysis.present.verdict import is_support_disabled, judged_document, verdict_word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.servo_bounds import ServoBounds
 from pupper_analysis.simulation.verdict import (
@@ -216,7 +216,7 @@ _NEXT_STEPS = {
     VerdictCode.MASSES_UNKNOWN: NextStep("audit"),
     VerdictCode.LIMB_WITHOUT_FOOT: NextStep("stand", ("--explain",)),
     VerdictCode.DIFFERS_AS_PUBLISHED: NextStep("crosscheck"),
-    VerdictCode.OWN_DRIVES_FAIL: NextStep("audit"),
+    VerdictCode.OWN_DRIVES_FAIL: NextStep("audit", of_mjcf=True),
     VerdictCode.DISAGREES: NextStep("crosscheck"),
     VerdictCode.FAILS: NextStep("best", ("margin",)),
 }
@@ -243,8 +243,8 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = NextStep("stand", ("--height", f"{math.floor(1e3 * (height - run.height_loss))}mm"))
     if _has_soft_drives(stance):
         step = _stiffen_servos(stance.verification)
-    if verdict.code is VerdictCode.FAILS and _is_tied(stance):
-        step = NextStep("audit")
+    if verdict.code is VerdictCode.FAILS and (_is_tied(stance) or is_support_disabled(verdict)):
+        step = NextStep("audit", of_mjcf=True)
     elif verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
         step = _stiffen_soft_servos(stance) or step
     elif _is_damping_excessive(stance):
