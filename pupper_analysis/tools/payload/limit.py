@@ -608,7 +608,7 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
             if mass == static_limit
             else simulations.judge_with_feedforward(mass)
         )
-        return None if _holds_in_simulation(verdict) else (Failure.SIMULATED, ())
+        return None if _holds_in_simulation(verdict) else _name_failure(verdict)
 
     cause = find_cause(static_limit)
     if cause is None:
@@ -617,6 +617,20 @@ def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulatio
         return Bound(0.0, Failure.UNLOADED, ())
     mass, failure = find_holding_mass(find_cause, static_limit, cause)
     return Bound(mass, *failure)
+
+
+def _name_failure(verdict: Verdict) -> FailureCause:
+    """Return the first failure of a verdict, with its joints, if it is a mode that grows."""
+    failure = next((one for one in verdict.failures if one.code in _MODE_FAILURES), None)
+    if failure is None:
+        return Failure.SIMULATED, ()
+    joints = failure.values["joints"]
+    assert isinstance(joints, tuple)
+    return _MODE_FAILURES[failure.code], tuple(map(str, joints))
+
+
+_MODE_FAILURES = {"mode-buckles": Failure.BUCKLING, "mode-shakes": Failure.SHAKING}
+"""{code of a failure of the simulation: failure that limits the payload}."""
 
 
 def _holds_in_simulation(verdict: Verdict) -> bool:

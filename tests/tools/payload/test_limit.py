@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.tool import FramePoint, find_place, find_tool, with_payload
@@ -319,13 +320,20 @@ def make_simulations(judge: Callable[[float], Any], simulate: Callable[[float], 
     )
 
 
-def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
+def bisect_bound(
+    most: float,
+    *,
+    verdict: float = math.inf,
+    nudged: float = math.inf,
+    verdict_failures: tuple[Diagnostic, ...] = (),
+) -> Bound:
     def simulate(mass: float) -> Any:
         falls = mass > nudged
         return SimpleNamespace(failure=Failure.TIPPING if falls else None, failing_parts=("FL",))
 
     def judge(mass: float) -> Any:
-        return SimpleNamespace(passed=mass <= verdict, code="")
+        failures = () if mass <= verdict else verdict_failures
+        return SimpleNamespace(passed=mass <= verdict, code="", failures=failures)
 
     return payload._bisect_simulation_bound(most, make_simulations(judge, simulate))
 
@@ -341,6 +349,17 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     found = bisect_bound(most, verdict=3.0)
     assert 3.0 / (1 + SIMULATION_RTOL) <= found.mass <= 3.0
     assert found.failure is Failure.SIMULATED
+    buckles = diagnose(
+        "mode-buckles",
+        frequency=Quantity(0.0, "Hz"),
+        freed=False,
+        joints=("FL_knee", "FR_knee"),
+        doubling_time=Quantity(5.0, "s"),
+        nudge=Quantity(1e-2, "rad"),
+        distance=None,
+    )
+    found = bisect_bound(most, verdict=3.0, verdict_failures=(buckles,))
+    assert (found.failure, found.failing_parts) == (Failure.BUCKLING, ("FL_knee", "FR_knee"))
     assert bisect_bound(most).mass == math.inf
     nothing = bisect_bound(most, verdict=-1.0)
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
