@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis import cli
 from tests.support import pages
 from tests.support.repository import ROOT
@@ -62,6 +63,18 @@ def test_tasks_of_the_table_for_users_of_pinocchio_run(
     np.testing.assert_allclose(
         mapping @ scope["config"].mass_matrix() @ mapping.T, inertia, atol=1e-12
     )
+
+
+@pytest.mark.slow
+def test_page_of_the_guide_to_reports_has_a_3d_view(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page of `stand`: the page of `pa.verify_stand` alone is a table of fields."""
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs/how-to/report.md").read_text("utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    exec(example, {"pa": pa})
+    assert 'class="scene"' in (tmp_path / "stand.html").read_text("utf-8")
 
 
 def test_blocks_that_are_not_run_need_a_network_or_another_program() -> None:
