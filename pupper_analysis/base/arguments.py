@@ -112,7 +112,9 @@ def find_name_patterns(chosen: Sequence[str], names: Iterable[str]) -> list[str]
     }
     patterns = []
     while remaining:
-        best = max(selections, key=lambda one: (len(selections[one] & remaining), len(one)))
+        best = max(
+            selections, key=lambda pattern: (len(selections[pattern] & remaining), len(pattern))
+        )
         if len(selections[best] & remaining) == 1:
             best = next(name for name in listed if name in remaining)  # a name needs no wildcard
         patterns.append(best)

@@ -114,7 +114,9 @@ def find_similar_files(path: Path) -> list[Path]:
     names: list[str] = []
     with suppress(OSError, ValueError), os.scandir(path.parent) as entries:
         compared = islice(entries, _MAX_COMPARED_NAMES)
-        names = [one.name for one in compared if not one.name.startswith(".") and one.is_file()]
+        names = [
+            entry.name for entry in compared if not entry.name.startswith(".") and entry.is_file()
+        ]
     similar = difflib.get_close_matches(path.name, names, cutoff=_MIN_SIMILARITY)
     return [path.parent / name for name in similar]
 

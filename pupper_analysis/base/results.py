@@ -449,7 +449,7 @@ def _replace_text(value: Any, prefix: str, short: str) -> Any:
     if type(value) in (tuple, dict, FrozenDict):
         old = value if isinstance(value, tuple) else tuple(value.values())
         new = tuple(_replace_text(item, prefix, short) for item in old)
-        if all(one is other for one, other in zip(old, new, strict=True)):
+        if all(old_item is new_item for old_item, new_item in zip(old, new, strict=True)):
             return value
         kind = type(value)
         return new if kind is tuple else kind(zip(value, new, strict=True))

@@ -90,7 +90,7 @@ class LazyGroup(click.Group):
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             alike = difflib.get_close_matches(name, list_tools())
-            if not alike and f"--{name}" in (word for one in self.params for word in one.opts):
+            if not alike and f"--{name}" in (word for param in self.params for word in param.opts):
                 alike = [f"--{name}"]
             hint = f"Did you mean {' or '.join(alike)}?" if alike else ""
             if not alike and _is_robot(name):

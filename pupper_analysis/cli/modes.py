@@ -25,8 +25,8 @@ def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
     """
     for name, option in _list_typed_parameters():
         if name not in uses[mode]:
-            others = tuple(other for other, names in uses.items() if name in names)
-            raise ConfigurationError(option, diagnose("option-unused", mode=mode, others=others))
+            modes = tuple(used_by for used_by, names in uses.items() if name in names)
+            raise ConfigurationError(option, diagnose("option-unused", mode=mode, others=modes))
 
 
 def refuse_idle(mode: str, *idle: str) -> None:

@@ -102,7 +102,9 @@ def complete_command(step: NextStep | None) -> str:
     target = group.get_command(root, step.command) if isinstance(group, click.Group) else None
     if target is None:
         return ""
-    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    arguments = {
+        param.name for param in context.command.params if isinstance(param, click.Argument)
+    }
     typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
     if typed_robot and step.command != context.command.name:
         typed_robot = list(context.meta.get(ROBOT_WORDS, typed_robot))
@@ -197,7 +199,9 @@ def list_typed_robot(context: click.Context) -> list[str]:
     values, _, _ = context.command.make_parser(context).parse_args(
         list(context.meta.get(TYPED_WORDS, ()))
     )
-    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    arguments = {
+        param.name for param in context.command.params if isinstance(param, click.Argument)
+    }
     return _list_typed_robot(arguments, values)
 
 
@@ -502,7 +506,9 @@ def _complete_download(typed: str, name: str, absent: str, *, fixed: bool) -> st
     context = click.get_current_context(silent=True)
     if context is None:
         return ""
-    arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
+    arguments = {
+        param.name for param in context.command.params if isinstance(param, click.Argument)
+    }
     single = len(list_typed_robot(context)) == 1
     if single and {"urdf", "mjcf"} <= arguments and not is_variant(name):  # no second file
         line = complete_command(NextStep("audit", (name,), robot_typed=False))
@@ -559,7 +565,7 @@ def print_next_step(step: NextStep | None) -> None:
 def _split_parameter(value: object) -> list[str]:
     """Return a text, or the items of a list, as command-line words; empty for another value."""
     if isinstance(value, list | tuple):
-        return [str(one) for one in value]
+        return [str(item) for item in value]
     return [value] if isinstance(value, str) else []
 
 
@@ -573,7 +579,9 @@ def _list_common_options(
 
     Options for output files, `_OUTPUT_PARAMETERS` and the options ``excluded`` are left out.
     """
-    known = {(one.name, *one.opts) for one in target.params if isinstance(one, click.Option)}
+    known = {
+        (param.name, *param.opts) for param in target.params if isinstance(param, click.Option)
+    }
     for option in dict.fromkeys(order):
         name = max(option.opts, key=len)
         if (

@@ -481,11 +481,13 @@ def _add_folders(files: RobotFiles, meant: Sequence[str | VariantSpec | RobotFil
 
     ``meant`` are all selections of the user.
     """
-    others = [other for other in meant if isinstance(other, RobotFiles) and other != files]
+    other_selections = [
+        selection for selection in meant if isinstance(selection, RobotFiles) and selection != files
+    ]
     count = max((len(Path(model).parts) for model in files.models), default=1)
     name = str(files)
     for depth in range(2, count + 1):
-        if name not in {_join_paths(other, depth - 1) for other in others}:
+        if name not in {_join_paths(other_files, depth - 1) for other_files in other_selections}:
             break
         name = _join_paths(files, depth)
     return name

@@ -293,7 +293,7 @@ class Command(click.Command):
         Raises:
             click.UsageError: If a word is not valid, for example a unit apart from its number.
         """
-        _refuse_other_dashes(ctx, args, [name for one in self.params for name in one.opts])
+        _refuse_other_dashes(ctx, args, [name for param in self.params for name in param.opts])
         _refuse_separate_units(ctx, args)
         _refuse_separate_values(ctx, args, self.params)
         self._refuse_options_without_hyphens(ctx, args)
@@ -392,8 +392,8 @@ class Command(click.Command):
 
     def _list_metavars(self, ctx: click.Context) -> dict[str | None, str]:
         """Return {name of an argument: word in usage lines, such as ``URDF``} for this command."""
-        arguments = [one for one in self.params if isinstance(one, click.Argument)]
-        return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
+        arguments = [param for param in self.params if isinstance(param, click.Argument)]
+        return {argument.name: argument.make_metavar(ctx).strip("[]") for argument in arguments}
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
         """Create the error about a missing argument, with its meaning and a usage line."""
@@ -717,11 +717,13 @@ def _refuse_separate_values(
     }
     for place, word in enumerate(words):
         option, equals, value = word.partition("=")
-        others = words[place + 1 :]
+        following = words[place + 1 :]
         if not equals:
-            value, others = (*others, "")[0], others[1:]
+            value, following = (*following, "")[0], following[1:]
         numbers = [
-            *takewhile(lambda one: _NUMBER_WORD.fullmatch(one) and not _is_path(one), others)
+            *takewhile(
+                lambda number: _NUMBER_WORD.fullmatch(number) and not _is_path(number), following
+            )
         ]
         form = forms.get(option, "")
         assigned = value.rpartition("=")[2]

@@ -211,13 +211,15 @@ class EffortLimit(Result):
         Args:
             file: Type of the generated file, ``URDF`` or ``MJCF``.
         """
-        others = tuple(statement for statement in self.stated if statement.file != file)
-        origin = min(others, key=lambda statement: statement.symmetric_torque, default=None)
-        lower = max((statement.lower for statement in others), default=-math.inf)
-        upper = min((statement.upper for statement in others), default=math.inf)
+        other_statements = tuple(statement for statement in self.stated if statement.file != file)
+        origin = min(
+            other_statements, key=lambda statement: statement.symmetric_torque, default=None
+        )
+        lower = max((statement.lower for statement in other_statements), default=-math.inf)
+        upper = min((statement.upper for statement in other_statements), default=math.inf)
         if not (math.isclose(lower, self.lower) and math.isclose(upper, self.upper)):
             return self
-        return replace(self, origin=origin, stated=others)
+        return replace(self, origin=origin, stated=other_statements)
 
     @property
     def positive_statement(self) -> EffortStatement | None:
@@ -527,21 +529,21 @@ def placeholder_efforts(
     Yields:
         (names of joints, diagnostic about their efforts).
     """
-    stated = [one for one in motors if 0 < one.effort < math.inf]
+    stated = [motor for motor in motors if 0 < motor.effort < math.inf]
     found: dict[tuple[str, float], list[JointEffort]] = {}
-    for one in stated:
-        weighed = one.mass > 1e-3 * total and one.effort > MAX_TORQUE_PER_LINK_MASS * one.mass
-        if weighed and is_placeholder_number(one.effort):
-            found.setdefault(("effort-beyond-links", one.effort), []).append(one)
-        elif one.armature > 0 and one.effort > MAX_ROTOR_ACCELERATION * one.armature:
-            found.setdefault(("effort-beyond-armature", one.effort), []).append(one)
+    for motor in stated:
+        weighed = motor.mass > 1e-3 * total and motor.effort > MAX_TORQUE_PER_LINK_MASS * motor.mass
+        if weighed and is_placeholder_number(motor.effort):
+            found.setdefault(("effort-beyond-links", motor.effort), []).append(motor)
+        elif motor.armature > 0 and motor.effort > MAX_ROTOR_ACCELERATION * motor.armature:
+            found.setdefault(("effort-beyond-armature", motor.effort), []).append(motor)
     for (code, effort), several in found.items():
-        names, limit = tuple(one.joint for one in several), Quantity(effort, "N m")
+        names, limit = tuple(motor.joint for motor in several), Quantity(effort, "N m")
         if code == "effort-beyond-links":
-            mass = Quantity(min(one.mass for one in several), "kg")
+            mass = Quantity(min(motor.mass for motor in several), "kg")
             message = diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
         else:
-            armature = min(one.armature for one in several)
+            armature = min(motor.armature for motor in several)
             message = diagnose(
                 "effort-beyond-armature",
                 more=names[1:],
@@ -550,16 +552,16 @@ def placeholder_efforts(
                 quick=effort / armature,
             )
         yield names, message
-    named = {one.joint for several in found.values() for one in several}
-    rest = [one for one in stated if one.joint not in named]
+    named = {motor.joint for several in found.values() for motor in several}
+    rest = [motor for motor in stated if motor.joint not in named]
     for several, message in _find_outliers(rest, total):
-        yield tuple(one.joint for one in several), message
-        rest = [one for one in rest if one not in several]
-    share = sum(one.effort for one in rest) / total if total > 0 else 0.0
+        yield tuple(motor.joint for motor in several), message
+        rest = [motor for motor in rest if motor not in several]
+    share = sum(motor.effort for motor in rest) / total if total > 0 else 0.0
     if share > MAX_TORQUE_PER_ROBOT_MASS:
-        rest.sort(key=lambda one: -one.effort / max(one.mass, 1e-3 * total))
-        efforts = [one.effort for one in rest]
-        names = tuple(one.joint for one in rest)
+        rest.sort(key=lambda motor: -motor.effort / max(motor.mass, 1e-3 * total))
+        efforts = [motor.effort for motor in rest]
+        names = tuple(motor.joint for motor in rest)
         yield (
             names,
             diagnose(

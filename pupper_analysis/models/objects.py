@@ -150,15 +150,17 @@ def read_objects(
     """
     parts = [part for model in models for part in _unwrap(model)]
     shapes = [model for model in parts if isinstance(model, pin.GeometryModel)]
-    others = [model for model in parts if not isinstance(model, pin.GeometryModel)]
-    owners = [model for model in others if isinstance(model, pin.Model)]
+    non_geometry_models = [model for model in parts if not isinstance(model, pin.GeometryModel)]
+    owners = [model for model in non_geometry_models if isinstance(model, pin.Model)]
     if len(shapes) > 1 or (shapes and len(owners) != 1):
         raise ConfigurationError("model", diagnose("geometry-without-model"))
     if shapes and not _is_geometry_of(shapes[0], owners[0]):
         raise ConfigurationError("model", diagnose("geometry-of-another-model"))
     geometry = shapes[0] if shapes else None
     with TemporaryDirectory() as folder:
-        files = [_read_object(model, geometry, packages, Path(folder)) for model in others]
+        files = [
+            _read_object(model, geometry, packages, Path(folder)) for model in non_geometry_models
+        ]
         yield ObjectFiles(tuple(files), owners[0] if owners else None, Path(folder))
 
 

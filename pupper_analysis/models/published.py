@@ -183,7 +183,9 @@ def list_similar_published_names(word: str) -> list[str]:
     robot = _DESCRIPTION_SUFFIX.sub("", name)
     if not all(map(_GENERIC_WORD.fullmatch, robot.split("_"))):
         similar += [
-            other for other in known if f"_{robot}_" in f"_{other}_" and other not in similar
+            known_name
+            for known_name in known
+            if f"_{robot}_" in f"_{known_name}_" and known_name not in similar
         ]
     return similar[:_NUM_SIMILAR_NAMES]
 

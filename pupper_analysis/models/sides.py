@@ -72,11 +72,11 @@ def mirror_name(name: str) -> str:
     Written-out sides have priority over abbreviations: ``R_lf_j1`` is a joint of the little finger
     of the right hand. A name without a side, such as ``upright``, is returned unchanged.
     """
-    others = [match.span() for match in _OTHER_WORD.finditer(name)]
+    word_spans = [match.span() for match in _OTHER_WORD.finditer(name)]
 
     def is_side(match: re.Match[str]) -> bool:
         """Return True if a match is no part of another word."""
-        return not any(start <= match.start() and match.end() <= end for start, end in others)
+        return not any(start <= match.start() and match.end() <= end for start, end in word_spans)
 
     for pattern in (_FULL_WORD, _SIDE_PATTERN):
         sides = [match for match in pattern.finditer(name) if is_side(match)]

@@ -353,7 +353,9 @@ def list_play_joints(model: mujoco.MjModel) -> list[int]:
         hinge
         for hinge in hinges
         if not is_driven[hinge]
-        and any(is_driven[other] and is_coaxial(hinge, other) for other in hinges)
+        and any(
+            is_driven[driven_hinge] and is_coaxial(hinge, driven_hinge) for driven_hinge in hinges
+        )
     ]
 
 

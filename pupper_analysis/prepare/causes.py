@@ -602,11 +602,13 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
         if classify_joint_drive(model, joint) is Drive.TENDON
         for servo in list_tendon_servos(model, joint)
     }
-    others = [
+    uncommanded = [
         actuator for actuator in list_uncommanded_actuators(model) if actuator not in commanded
     ]
-    named = _list_element_names(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, others)
-    yield from _yield_if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
+    named = _list_element_names(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, uncommanded)
+    yield from _yield_if_any(
+        "motors-elsewhere", named, "actuator_gainprm actuator_biasprm", uncommanded
+    )
     filtered = np.isin(model.actuator_dyntype, FILTER_DYNAMICS)
     slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > MAX_SETTLED_TIME_CONSTANT))
     named = _name_actuators(model, slow)
@@ -691,18 +693,22 @@ def _list_overlap_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
     disables all contacts of a body of each pair: not of a body with a foot, which touches the
     ground.
     """
-    excluded = [one for one in robot.description.added if isinstance(one, ContactExclusion)]
+    excluded = [
+        addition for addition in robot.description.added if isinstance(addition, ContactExclusion)
+    ]
     model, weld = published.model, robot.mj_model.body_weldid
     foot_bodies = {int(weld[body]) for body, _ in robot.contact_places.values()}
     feet = {robot.mj_model.body(body).name for body in foot_bodies}
     depths = {
-        bodies: depth for one in excluded for bodies, depth in _list_overlap_depths(one.reason)
+        bodies: depth
+        for exclusion in excluded
+        for bodies, depth in _list_overlap_depths(exclusion.reason)
     }
-    switched = {two if one in feet else one for one, two in depths} - feet
+    switched = {second if first in feet else first for first, second in depths} - feet
     bodies = [model.body(name).id for name in sorted(switched & _list_body_names(model))]
     elements = tuple(
-        f"{one}/{two} {format_number(1e3 * depth, '.3g')} mm"
-        for (one, two), depth in sorted(depths.items(), key=lambda item: -item[1])
+        f"{first}/{second} {format_number(1e3 * depth, '.3g')} mm"
+        for (first, second), depth in sorted(depths.items(), key=lambda item: -item[1])
     )
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
     if geoms.size:

@@ -461,7 +461,9 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     seen: list[Array] = []
     for *normal, _ in hull.equations:
         out = np.array(normal)
-        if out @ down < math.cos(_MAX_SOLE_TILT) or any(out @ other > 1 - 1e-9 for other in seen):
+        if out @ down < math.cos(_MAX_SOLE_TILT) or any(
+            out @ normal_seen > 1 - 1e-9 for normal_seen in seen
+        ):
             continue
         seen.append(out)
         yield out

@@ -385,8 +385,8 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
     """
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
-    others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # joints with gains
-    order = np.searchsorted(others, ids)
+    joints_with_gains = np.flatnonzero(model.jnt_type != JointKind.FREE)  # joints with gains
+    order = np.searchsorted(joints_with_gains, ids)
     kp, kd = suggest_fixed_base_gains(model)
     return kp[order], kd[order]
 

@@ -160,7 +160,7 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     origin = null[0].origin
     low, high = origin.stated
     twins = [(limit.joint, limit.positive_statement) for limit in null]
-    twin = next(((joint, other) for joint, other in twins if other is not None), None)
+    twin = next(((joint, statement) for joint, statement in twins if statement is not None), None)
     return diagnose(
         "motors-without-torque",
         joints=[limit.joint for limit in null],

@@ -202,7 +202,7 @@ def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
         strict=True,
     )
     return first.motor_laws == second.motor_laws and all(
-        np.array_equal(one, other) for one, other in pairs
+        np.array_equal(first_values, second_values) for first_values, second_values in pairs
     )
 
 
@@ -628,7 +628,7 @@ def _list_lifted_legs(
     after = find_bodies_near_world(model, end, margin)
     lifted: list[JointOff] = []
     for leg in moved:
-        shared = {name for other in legs if other is not leg for name in other}
+        shared = {name for other_leg in legs if other_leg is not leg for name in other_leg}
         first = next((name for name in leg if name not in shared), leg[-1])
         bodies = _list_descendants(model, model.joint(first).bodyid[0])
         if before & bodies and not after & bodies:

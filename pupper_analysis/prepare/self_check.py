@@ -276,7 +276,7 @@ def compare_with_file(
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
     if published.floating and published.ground_height is None:
-        on_floor = [simulate_prediction(published, robot, one) for one in predictions]
+        on_floor = [simulate_prediction(published, robot, prediction) for prediction in predictions]
         falls = tuple(run for run in on_floor if run is not None and run.collapses)
         return Published(falls, (Cause("ground", ()),), differs=True)
     results = [

@@ -93,10 +93,10 @@ def find_carrying_hulls(
         if len(foot.points) != 1 or foot.name not in stand.depths:
             continue  # other shapes are above a flat sole
         own, depth = foot.points[0].geom, stand.depths[foot.name]
-        others = [geom for geom in list_ground_geoms(model, foot.body) if geom != own]
+        other_geoms = [geom for geom in list_ground_geoms(model, foot.body) if geom != own]
         bottom = compute_lowest_height(model, data, [own])
         hull = min(
-            others, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None
+            other_geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None
         )
         gap = math.inf if hull is None else compute_lowest_height(model, data, [hull]) - bottom
         if hull is None or not gap < depth:

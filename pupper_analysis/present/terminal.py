@@ -369,7 +369,7 @@ def _make_lines(_: object, __: _ViewOptions) -> list[_PrintedLine]:
 def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
     """Convert a table to lines: an empty line, the title, the header, the rows and the notes."""
     columns = [
-        index for index, one in enumerate(table.columns) if view.everything or not one.detail
+        index for index, column in enumerate(table.columns) if view.everything or not column.detail
     ]
     rows = _lay_out_table(view.out, table, columns)
     return [

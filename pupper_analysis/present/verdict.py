@@ -177,13 +177,13 @@ def split_ties(ties: Iterable[Diagnostic]) -> tuple[str, tuple[Text, ...], tuple
         without a failure; texts of the failures; texts of the other messages.
     """
     errors = [tie for tie in ties if tie.severity is Severity.ERROR]
-    others = [tie for tie in ties if tie.severity is not Severity.ERROR]
+    other_ties = [tie for tie in ties if tie.severity is not Severity.ERROR]
     held = not TIE_MESSAGE_CODES.isdisjoint(tie.code for tie in errors)
     word = ("FAILS" if held else "DISAGREES") if errors else ""
     return (
         word,
         tuple(map(diagnostic_text, errors)),
-        tuple(diagnostic_text(tie, "good") for tie in others),
+        tuple(diagnostic_text(tie, "good") for tie in other_ties),
     )
 
 
@@ -532,7 +532,11 @@ TOUCH_CODE = "body-touches-ground"
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Replace several failures "body touches the ground" by one failure with the earliest time."""
     failures = tuple(failures)
-    touches = [one for one in failures if one.code == TOUCH_CODE and not one.values.get("surface")]
+    touches = [
+        failure
+        for failure in failures
+        if failure.code == TOUCH_CODE and not failure.values.get("surface")
+    ]
     names = [failure.subject.name for failure in touches if failure.subject is not None]
     if len(names) < 2:
         return failures
@@ -543,8 +547,8 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
         time=min(times, key=lambda time: time.value, default=None),
     )
     place = failures.index(touches[0])
-    others = [failure for failure in failures if failure not in touches]
-    return (*others[:place], joined, *others[place:])
+    other_failures = [failure for failure in failures if failure not in touches]
+    return (*other_failures[:place], joined, *other_failures[place:])
 
 
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:

@@ -120,12 +120,12 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     found: dict[str, dict[str, None]] = {}
     for number, limb in enumerate(limbs):
         alike = [
-            joints[other]
-            for other, another in enumerate(limbs)
-            if other != number and another.is_similar_to(limb)
+            joints[index]
+            for index, candidate in enumerate(limbs)
+            if index != number and candidate.is_similar_to(limb)
         ]
         for place, joint in enumerate(joints[number]):
-            names = tuple(model.joint(other[place]).name for other in alike)
+            names = tuple(model.joint(limb_joints[place]).name for limb_joints in alike)
             name = model.joint(joint).name
             found.setdefault(name, {}).update(dict.fromkeys(names))
     return {name: tuple(names) for name, names in found.items() if names and name not in names}
@@ -146,10 +146,12 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
     moving_foot_bodies = {int(model.body_weldid[body]) for body in foot_bodies}
     limbs_with_foot = [limb for limb in limbs if limb.bodies[-1] in moving_foot_bodies]
     for limb in limbs:
-        similar_with_foot = [other for other in limbs_with_foot if other.is_similar_to(limb)]
+        similar_with_foot = [
+            candidate for candidate in limbs_with_foot if candidate.is_similar_to(limb)
+        ]
         if limb in limbs_with_foot or not similar_with_foot:
             continue
-        similar = [other for other in limbs if other.is_similar_to(limb)]
+        similar = [candidate for candidate in limbs if candidate.is_similar_to(limb)]
         if len(similar_with_foot) * 2 < len(similar):
             continue
         messages.append(

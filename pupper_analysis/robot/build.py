@@ -163,8 +163,8 @@ def _group_contact_points(description: Description) -> dict[str, tuple[str, ...]
     """Return the contact points of each foot; a point without a foot is a foot of its own."""
     feet: dict[str, tuple[str, ...]] = {point: (point,) for point in description.contact_points}
     for foot, points in description.feet.items():
-        others = {name: own for name, own in feet.items() if name not in points}
-        feet = others | {foot: points}
+        other_feet = {name: own for name, own in feet.items() if name not in points}
+        feet = other_feet | {foot: points}
     return feet
 
 

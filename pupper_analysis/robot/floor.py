@@ -107,7 +107,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         if (geom.contype or geom.conaffinity or geom.name in paired_names) and is_fixed(geom.parent)
     ]
     floors = [geom for geom in collidable_geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    others = [geom for geom in collidable_geoms if geom not in floors]
+    other_geoms = [geom for geom in collidable_geoms if geom not in floors]
     notes: list[Diagnostic] = []
     if floors:
         floor, notes = _level_floor(spec, floors)
@@ -116,7 +116,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         floor = existing or SpecTree(spec).add_floor()
         notes = [] if existing else [diagnose("ground-added")]
     notes += _replace_pairs(spec, floor)
-    scenery = [*others, *(geom for geom in floors[1:] if not _is_level_at_zero(geom))]
+    scenery = [*other_geoms, *(geom for geom in floors[1:] if not _is_level_at_zero(geom))]
     return notes + _disable_geoms(spec, scenery)
 
 
@@ -184,7 +184,7 @@ def _list_compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
     """Return the cosines of the tilts, and the heights [m], of planes in the compiled model."""
-    numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
+    numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == plane) for plane in planes]
     copied = spec.copy()
     copied.compiler.discardvisual = False  # removing geoms would change their order
     with silence_mujoco():

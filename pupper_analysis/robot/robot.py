@@ -126,7 +126,9 @@ def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
             ("joint", limit.joint),
             sorted(limit.stated, key=lambda statement: statement.symmetric_torque),
         )
-        unused = next((other for other in by_file[1:] if other.file != by_file[0].file), None)
+        unused = next(
+            (statement for statement in by_file[1:] if statement.file != by_file[0].file), None
+        )
         if (
             unused
             and limit.origin is not None

@@ -195,12 +195,14 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
     Returns:
         Commands of all actuators, shape (model.nu,).
     """
-    others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
-    if others.size:
-        lengths, _ = measure_actuator_levers(model, qpos, others.tolist())
-        bias = model.actuator_biasprm[others]
+    other_servos, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
+    if other_servos.size:
+        lengths, _ = measure_actuator_levers(model, qpos, other_servos.tolist())
+        bias = model.actuator_biasprm[other_servos]
         force = bias[:, 0] + bias[:, 1] * lengths
-        ctrl[model.actuator_ctrladr[others]] = -force / model.actuator_gainprm[others, 0]
+        ctrl[model.actuator_ctrladr[other_servos]] = (
+            -force / model.actuator_gainprm[other_servos, 0]
+        )
     return ctrl
 
 

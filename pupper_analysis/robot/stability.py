@@ -444,9 +444,9 @@ def judge_settled(
     found = _evaluate_friction(model, data)
     if found.at_rest:
         return found, data
-    other = _evaluate_friction(model, before)
-    threw = (other.doubling_time or math.inf) < settle / _MIN_THROWING_DOUBLINGS
-    return (other, before) if other.at_rest and threw else (found, data)
+    start_stability = _evaluate_friction(model, before)
+    threw = (start_stability.doubling_time or math.inf) < settle / _MIN_THROWING_DOUBLINGS
+    return (start_stability, before) if start_stability.at_rest and threw else (found, data)
 
 
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
@@ -485,13 +485,13 @@ def _list_further_modes(modes: Iterable[Mode], known: Iterable[Mode]) -> list[Mo
     further = list(modes)
     for mode in known:
         equal = [
-            other
-            for other in further
-            if abs(other.growth - mode.growth) <= _EQUAL_GROWTH_RTOL * mode.growth
+            candidate
+            for candidate in further
+            if abs(candidate.growth - mode.growth) <= _EQUAL_GROWTH_RTOL * mode.growth
         ]
-        alike = [other for other in equal if other.joints == mode.joints]
-        for other in (alike or equal)[:1]:
-            further.remove(other)
+        alike = [candidate for candidate in equal if candidate.joints == mode.joints]
+        for match in (alike or equal)[:1]:
+            further.remove(match)
     return further
 
 

@@ -139,12 +139,12 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
     }
     last_joints = {name: tools[name].chain[-1:] for name in tools}
     for name, joint in last_joints.items():
-        others = (
+        other_geoms = (
             touching
             for touching in last_joints
             if last_joints[touching] == joint and touching != name and properties[touching].is_fixed
         )
-        for other_name in others:
+        for other_name in other_geoms:
             raise ConfigurationError(
                 "contacts", diagnose("welded-twice", name=name, other=other_name)
             )

@@ -626,9 +626,9 @@ class _NudgedEvaluation:
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
         feet_on_ground, touching, torques, centres = [], [], [], []
         for sample in samples:
-            grounded, others, motor_torques = conditions.sample(sample)
+            grounded, touching_bodies, motor_torques = conditions.sample(sample)
             feet_on_ground.append(grounded)
-            touching.append(sorted(others))
+            touching.append(sorted(touching_bodies))
             torques.append(motor_torques)
             centres.append(conditions.locate_feet())
         if self._initial_centres is None:

@@ -175,12 +175,12 @@ class ClearanceShapes:
         excepted, able, never = excluded_pairs(self.robot.mj_model), set(), set()
         pairs = [(first, second) for second in range(len(shapes)) for first in range(second)]
         links = {pair: frozenset(shapes[number].link for number in pair) for pair in pairs}
-        for one, other in pairs:
-            both = {joints[one], joints[other]}
+        for first, second in pairs:
+            both = {joints[first], joints[second]}
             if len(both) == 2 and not both & {int(model.parents[joint]) for joint in both if joint}:
-                able.add(links[one, other])
-            if frozenset((shapes[one].body, shapes[other].body)) in excepted:
-                never.add(links[one, other])
+                able.add(links[first, second])
+            if frozenset((shapes[first].body, shapes[second].body)) in excepted:
+                never.add(links[first, second])
         checked = [pair for pair in pairs if links[pair] in able - never]
         for shape in shapes:
             shape.form.collision.computeLocalAABB()  # centre and radius of the bounding sphere
@@ -260,8 +260,8 @@ class ClearanceShapes:
         """
         found = self.find_nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
-        for row, (one, other, near) in zip(rates, found, strict=True):
-            ends = (one, near.getNearestPoint1(), -1), (other, near.getNearestPoint2(), 1)
+        for row, (first, second, near) in zip(rates, found, strict=True):
+            ends = (first, near.getNearestPoint1(), -1), (second, near.getNearestPoint2(), 1)
             for shape, point, sign in ends:
                 moved = at.point_jacobian(self.shapes[shape].link, point)
                 row += sign * (near.normal @ moved)
@@ -326,7 +326,9 @@ class ClearanceShapes:
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _LEVEL_NORMAL
             heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
-            heights = [one.distance for one in self._measure_above_steps(at, ground, foot_targets)]
+            heights = [
+                step.distance for step in self._measure_above_steps(at, ground, foot_targets)
+            ]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
             for height, part in zip(heights, self.parts, strict=True)
@@ -355,7 +357,7 @@ class ClearanceShapes:
             ends = [(s.form.find_lowest_point(there.links[s.link], normal), normal) for s in shapes]
         else:
             steps = self._measure_above_steps(there, ground, foot_targets)
-            ends = [(one.near.getNearestPoint1(), -one.near.normal) for one in steps]
+            ends = [(step.near.getNearestPoint1(), -step.near.normal) for step in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
             for part, (point, out) in zip(self.parts, ends, strict=True)

@@ -779,8 +779,8 @@ def move_rigidly(before: Array, after: Array) -> Array:
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """
-    one, two = before.mean(axis=0), after.mean(axis=0)
-    left, _, right = np.linalg.svd((before - one).T @ (after - two))
+    old_centre, new_centre = before.mean(axis=0), after.mean(axis=0)
+    left, _, right = np.linalg.svd((before - old_centre).T @ (after - new_centre))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    moved: Array = (before - one) @ left @ flip @ right + two
+    moved: Array = (before - old_centre) @ left @ flip @ right + new_centre
     return moved

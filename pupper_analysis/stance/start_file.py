@@ -151,7 +151,7 @@ def walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
     """Yield the mapping in a JSON file and its nested mappings, top level first, without lists."""
     level = [content]
     while level:
-        tables = [one for one in level if isinstance(one, Mapping)]
+        tables = [value for value in level if isinstance(value, Mapping)]
         yield from tables
         level = [value for table in tables for value in table.values()]
 

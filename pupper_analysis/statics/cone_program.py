@@ -325,8 +325,8 @@ class Balance:
         count = len(self.normals)
         rows, index = np.zeros((count, count, 3)), np.arange(count)
         rows[index, index] = self.normals
-        others = self.base_rows.shape[1] - 3 * count
-        return np.hstack([rows.reshape(count, 3 * count), np.zeros((count, others))])
+        num_other_columns = self.base_rows.shape[1] - 3 * count
+        return np.hstack([rows.reshape(count, 3 * count), np.zeros((count, num_other_columns))])
 
     def _contact_part(self, forces: Array) -> Array:
         """Select the contact forces (n, 3) [N] from forces (size,) of contacts, welds and grips."""
@@ -367,12 +367,12 @@ class Balance:
         tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         rows[index, 1:, index] = tangential / scale[:, None, None]
         cones: Array = rows.reshape(4 * count, 3 * count)
-        others = self.base_rows.shape[1] - 3 * count
-        if not others:
+        num_other_columns = self.base_rows.shape[1] - 3 * count
+        if not num_other_columns:
             return cones
         grips = np.kron(np.eye(len(self.grips)), np.eye(4, 3, k=-1))
-        before_grips = np.zeros((len(grips), 3 * count + others - grips.shape[1]))
-        beside_contacts = np.zeros((4 * count, others))
+        before_grips = np.zeros((len(grips), 3 * count + num_other_columns - grips.shape[1]))
+        beside_contacts = np.zeros((4 * count, num_other_columns))
         return np.vstack([np.hstack([cones, beside_contacts]), np.hstack([before_grips, grips])])
 
     def _minimize_peak(
@@ -503,8 +503,8 @@ class TangentialMetric:
 
     def __matmul__(self, forces: Array) -> Array:
         if len(forces) > self._normals.size:
-            contacts, others = np.split(forces, [self._normals.size])
-            return np.concatenate([self @ contacts, others])
+            contacts, other_forces = np.split(forces, [self._normals.size])
+            return np.concatenate([self @ contacts, other_forces])
         if self._diagonal is not None:
             return (self._diagonal * forces.T).T
         return self._scale_tangential(self._weights, forces)
@@ -515,8 +515,8 @@ class TangentialMetric:
         ``forces`` and the result have the shape (size,) or (size, k).
         """
         if len(forces) > self._normals.size:
-            contacts, others = np.split(forces, [self._normals.size])
-            return np.concatenate([self.apply_inverse(contacts), others])
+            contacts, other_forces = np.split(forces, [self._normals.size])
+            return np.concatenate([self.apply_inverse(contacts), other_forces])
         if self._diagonal is not None:
             return (forces.T / self._diagonal).T
         return self._scale_tangential(1 / self._weights, forces)

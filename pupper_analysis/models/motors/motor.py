@@ -396,5 +396,9 @@ def list_unknown_numbers(error: ModelError) -> tuple[str, ...]:
     return tuple(map(str, numbers)) if isinstance(numbers, tuple | list) else ()
 
 
-NUMBER_KINDS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
+NUMBER_KINDS = {
+    motor_field.name: motor_field.metadata["kind"]
+    for motor_field in fields(Motor)
+    if "kind" in motor_field.metadata
+}
 """{field of `Motor` that contains a number: kind of quantity, a key of ``UNIT_KINDS``}."""

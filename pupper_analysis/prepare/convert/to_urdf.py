@@ -570,12 +570,12 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
             raise ModelError(file.path, diagnose("body-without-joints", subject=("body", body)))
     moving = {int(model.body_rootid[index]) for index in model.jnt_bodyid}
     # A robot whose base is the world consists of all roots that move in the world.
-    others = sorted(moving - {root}) if root else []
-    if not others:
+    other_roots = sorted(moving - {root}) if root else []
+    if not other_roots:
         return file
     spec = file.spec.copy()
     removed_tops = {
-        index: top for index, top in _list_top_bodies(spec, model).items() if index in others
+        index: top for index, top in _list_top_bodies(spec, model).items() if index in other_roots
     }
     kind = mujoco.mjtObj.mjOBJ_BODY
     removed_names = {
@@ -586,7 +586,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
             spec.delete(element)
     for top in removed_tops.values():
         spec.delete(top)
-    message = diagnose("others-left-out", bodies=[model.body(index).name for index in others])
+    message = diagnose("others-left-out", bodies=[model.body(index).name for index in other_roots])
     notes: tuple[Diagnostic, ...] = (*file.notes, message)
     return replace(file, spec=spec, notes=notes, _model=compile_spec(spec.copy(), file.path))
 

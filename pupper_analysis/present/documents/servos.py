@@ -63,18 +63,18 @@ def describe_servo_gains(servos: ServoBounds | None, used: ServosUsed) -> Iterab
     """
     if servos is None or not servos.classes:
         return
-    one, implicit = servos.classes[0], servos.integrator.startswith("implicit")
+    joint_class, implicit = servos.classes[0], servos.integrator.startswith("implicit")
     least, most, scales = servos.least_kp_factor, servos.largest_kd_factor, servos.uniform
-    kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
+    kp, kd = (joint_class.kp, joint_class.kd) if scales else (1.0, 1.0)
     units = servos.units
     bounded = most is not None and math.isfinite(most)
     over = exceeds_explicit_damping(servos)
     low = least is not None and least > 1
     yield text(
         "servo-gains" if scales else "servo-factors",
-        kp=format_number(one.kp, ".3g"),
+        kp=format_number(joint_class.kp, ".3g"),
         kp_unit=units.stiffness,
-        kd=format_number(one.kd, ".3g"),
+        kd=format_number(joint_class.kd, ".3g"),
         kd_unit=units.damping,
         least="" if least is None else format_bound(least * kp, kp, upper=False),
         most=format_bound(most * kd, kd, upper=True) if most is not None and bounded else "",

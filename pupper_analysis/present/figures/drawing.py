@@ -402,7 +402,9 @@ def shorten_names(names: Sequence[str]) -> list[str]:
     """
     parts = [name.split("_") for name in names]
     short = [
-        "_".join(part for part in own if part and not all(part in other for other in parts))
+        "_".join(
+            part for part in own if part and not all(part in name_parts for name_parts in parts)
+        )
         for own in parts
     ]
     return short if all(short) and len({*short}) == len(names) else list(names)

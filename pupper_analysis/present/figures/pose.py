@@ -181,7 +181,7 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         link = int(model.body_weldid[model.geom_bodyid[geom]])
         if not on_base[geom] and link not in of_legs:
             links.setdefault(link, []).append(geom)
-    others = [_read_parts(model, data, geoms, _MAX_LINK_FACES) for geoms in links.values()]
+    link_parts = [_read_parts(model, data, geoms, _MAX_LINK_FACES) for geoms in links.values()]
     lines = [
         line
         for body, line in _list_links(robot, qpos)
@@ -191,7 +191,7 @@ def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         legs,
         tuple(lines),
         tuple(_read_parts(model, data, visible or own, _MAX_BASE_FACES)),
-        tuple(itertools.chain.from_iterable(others)),
+        tuple(itertools.chain.from_iterable(link_parts)),
         _find_forward_direction(data.xmat[base].reshape(3, 3)),
         bool(visible),
     )

@@ -150,14 +150,16 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
     """
     x, y, series = plot.x, plot.y, plot.series
     lines, marked = [], []
-    for one in series:
-        values = np.column_stack([np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float)])
-        drawn = _select_drawn_points(values, one.marked_index)
+    for line_series in series:
+        values = np.column_stack(
+            [np.asarray(line_series.x, dtype=float), np.asarray(line_series.y, dtype=float)]
+        )
+        drawn = _select_drawn_points(values, line_series.marked_index)
         lines.append(values[drawn])
-        marked.append(next(iter(np.flatnonzero(drawn == one.marked_index).tolist()), None))
+        marked.append(next(iter(np.flatnonzero(drawn == line_series.marked_index).tolist()), None))
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
-    inside = any(one.points or bool(np.any(np.diff(line[:, 0]) < 0))
-                 for one, line in zip(series, lines, strict=True))  # fmt: skip
+    inside = any(line_series.points or bool(np.any(np.diff(line[:, 0]) < 0))
+                 for line_series, line in zip(series, lines, strict=True))  # fmt: skip
     left, right = _compute_axis_range(x, points[:, 0], _X_MARGIN if inside else 0.0)
     low, high = _compute_axis_range(y, points[:, 1], _Y_MARGIN)
     flat = _MIN_HEIGHT_RATIO * max(abs(low), abs(high)) - (high - low)
@@ -189,12 +191,12 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
     drawn_series = sorted(
         enumerate(zip(series, lines, marked, strict=True)), key=lambda item: not item[1][0].shaded
     )
-    for index, (one, line, mark) in drawn_series:
+    for index, (line_series, line, mark) in drawn_series:
         labels = [
             f"{format_axis_value(x, across)}, {format_axis_value(y, up)}" for across, up in line
         ]
         style = styles[index]
-        marks += draw_series(place(line), labels, replace(one, marked_index=mark), style)
+        marks += draw_series(place(line), labels, replace(line_series, marked_index=mark), style)
     return Drawing(
         plot.title,
         PLOT_WIDTH,
@@ -346,10 +348,12 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     """
     return tuple(
         (
-            one.name if one.note is None else text("name-note", name=one.name, note=one.note),
-            _select_legend_class(one, style),
+            line_series.name
+            if line_series.note is None
+            else text("name-note", name=line_series.name, note=line_series.note),
+            _select_legend_class(line_series, style),
         )
-        for one, style in zip(series, select_styles(series), strict=True)
+        for line_series, style in zip(series, select_styles(series), strict=True)
     )
 
 
@@ -363,11 +367,11 @@ def select_styles(series: Sequence[Series]) -> list[str]:
     numbers = itertools.count()
     return [
         AREA_CLASS
-        if one.shaded
+        if line_series.shaded
         else REFERENCE_CLASS
-        if one.reference
+        if line_series.reference
         else f"s{next(numbers) % NUM_SERIES_STYLES}"
-        for one in series
+        for line_series in series
     ]
 
 

@@ -425,7 +425,7 @@ def write_report(
     check_type("path", path, str | Path)
     check_type("robots", robots, Iterable[Robot])
     named = _name_results(results)
-    odd = [one for _, one in named if not isinstance(one, Result | Table)]
+    odd = [result for _, result in named if not isinstance(result, Result | Table)]
     if odd:
         raise ConfigurationError("results", diagnose("no-result", given=reprlib.repr(odd[0])))
     if not named:
@@ -460,7 +460,7 @@ def render_page(shown: Report, language: str = "en") -> str:
     library = load_viewer_library()
     scenes: list[dict[str, Any]] = []
     sections = tuple(_draw_document(document, scenes) for document in shown.documents)
-    meshes = {name: one for scene in scenes for name, one in scene.pop("meshes").items()}
+    meshes = {name: mesh for scene in scenes for name, mesh in scene.pop("meshes").items()}
     page: str = (
         _make_environment()
         .get_template("page.html")

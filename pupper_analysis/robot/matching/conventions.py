@@ -264,7 +264,7 @@ def _find_pose_of_joints(
         return None  # a rotation about the line may also be a displaced zero of all joints
     else:  # all points are on a line, and any rotation about it fits
         rotation = joints[0][1].rotation @ joints[0][0].rotation.T
-        turns = [other.rotation.T @ rotation @ joint.rotation for joint, other in joints]
+        turns = [partner.rotation.T @ rotation @ joint.rotation for joint, partner in joints]
     pose = pin.SE3(rotation, other_middle - rotation @ middle)
     gaps = np.linalg.norm(anchors @ rotation.T + pose.translation - other_anchors, axis=1)
     angles = np.linalg.norm(axes @ rotation.T - other_axes, axis=1)

@@ -154,7 +154,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
                 [
                     part
                     for part in parts
-                    if not any(set(part.joints) < set(other.joints) for other in parts)
+                    if not any(set(part.joints) < set(larger_part.joints) for larger_part in parts)
                 ]
             )
         removals.append((parent_joint, alternatives))

@@ -309,12 +309,15 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
         partner_parent = partner.get(parent)
         urdf_joints = [name for name in urdf.children(parent) if name in unmatched]
         mjcf_joints = [
-            other for other in mjcf.children(partner_parent or "") if other in candidates
+            joint for joint in mjcf.children(partner_parent or "") if joint in candidates
         ]
         if partner_parent is None or not urdf_joints or not mjcf_joints:
             continue
         distances = np.array(
-            [[joint_distance(name, other) for other in mjcf_joints] for name in urdf_joints]
+            [
+                [joint_distance(name, mjcf_joint) for mjcf_joint in mjcf_joints]
+                for name in urdf_joints
+            ]
         )
         for row, name in enumerate(urdf_joints):
             column = int(np.argmin(distances[row]))
@@ -326,13 +329,13 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
                 guessed[name] = partner[name] = mjcf_joints[column]
             elif np.isfinite(minimum):
                 choices[name] = tuple(
-                    other
-                    for other, distance in zip(mjcf_joints, distances[row], strict=True)
+                    mjcf_joint
+                    for mjcf_joint, distance in zip(mjcf_joints, distances[row], strict=True)
                     if np.isfinite(distance)
                 )
     used = set(guessed.values())
     remaining_choices = {
-        name: tuple(other for other in others if other not in used)
-        for name, others in choices.items()
+        name: tuple(joint for joint in mjcf_joints_left if joint not in used)
+        for name, mjcf_joints_left in choices.items()
     }
-    return Guess(guessed, {name: others for name, others in remaining_choices.items() if others})
+    return Guess(guessed, {name: joints for name, joints in remaining_choices.items() if joints})

@@ -538,7 +538,9 @@ class SagEquilibrium:
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + self.scales.slip_stiffness * places[:, :2]
         slipping = self.find_slipping_contacts(forces, places)
-        self._force_rows = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
+        self._force_rows = (
+            slice(None) if self.feet == "sliding" else [contact[0] for contact in slipping]
+        )
         is_frictionless = self._is_frictionless()
         for row, mu, augmented in slipping:
             if is_frictionless[row]:

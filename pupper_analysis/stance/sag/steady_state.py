@@ -853,9 +853,10 @@ def _find_failures(
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)
         mujoco.mj_collision(robot.mj_model, data)
-        others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
+        touching_bodies = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
         surfaces = {
-            body: find_touched_surface(robot.mj_model, data, body) for body in sorted(others)
+            body: find_touched_surface(robot.mj_model, data, body)
+            for body in sorted(touching_bodies)
         }
     failures += [
         diagnose("body-touches-ground", subject=("body", body), surface=surface, time=None)

@@ -292,11 +292,11 @@ def _group_joints(analysis: Analysis, legs: Mapping[str, Sequence[str]]) -> _Joi
             is_shared = len(legs) == 1 or index in depths
             by_depth[depths.setdefault(index, depth)][index] = None if is_shared else leg
     limbs = drawing.shorten_names(list(legs)) if len(legs) > 1 else []
-    others = [index for index in range(len(names)) if index not in depths]
-    partners = dict(find_mirror_pairs(names[index] for index in others))
+    other_indices = [index for index in range(len(names)) if index not in depths]
+    partners = dict(find_mirror_pairs(names[index] for index in other_indices))
     second = {*partners.values()}
     other_rows: list[dict[int, int | None]] = []
-    for index in others:
+    for index in other_indices:
         if names[index] in second:
             continue
         pair = [names[index], *(partners[name] for name in [names[index]] if name in partners)]
@@ -320,7 +320,7 @@ def _join_common_parts(names: Sequence[str]) -> str:
     For ``leg_front_l_1`` and ``leg_back_r_1`` the result is ``leg_1``.
     """
     parts = [name.split("_") for name in names]
-    shared = [part for part in parts[0] if all(part in other for other in parts)]
+    shared = [part for part in parts[0] if all(part in name_parts for name_parts in parts)]
     return "_".join(shared) or names[0]
 
 

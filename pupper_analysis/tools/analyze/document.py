@@ -142,11 +142,11 @@ _CROSS_CHECK_CODE = "models-deviate"
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
     """List the failures of an analysis, causes before effects."""
     order = sorted(analysis.failures, key=lambda failure: failure.code != TWO_ROBOTS_CODE)
-    others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
+    other_failures = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
     check = analysis.check
     failed = sum(not quantity.passed for quantity in check.quantities)
     if not failed:
-        return tuple(map(doc.diagnostic_text, others))
+        return tuple(map(doc.diagnostic_text, other_failures))
     worst = max(check.quantities, key=lambda quantity: quantity.relative)
     line = text(
         "quantities-deviate",
@@ -155,8 +155,8 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
         relative=f"{worst.relative:.1e}",
         quantity=word(worst.name),
     )
-    causes = [failure for failure in others if failure.code == TWO_ROBOTS_CODE]
-    effects = [failure for failure in others if failure.code != TWO_ROBOTS_CODE]
+    causes = [failure for failure in other_failures if failure.code == TWO_ROBOTS_CODE]
+    effects = [failure for failure in other_failures if failure.code != TWO_ROBOTS_CODE]
     return (*map(doc.diagnostic_text, causes), line, *map(doc.diagnostic_text, effects))
 
 

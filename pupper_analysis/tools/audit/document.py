@@ -80,16 +80,20 @@ def describe_patch(document: doc.Document, audit: Audit, count: int) -> doc.Docu
     """
     computed = list_computed_repairs([audit])
     written = [repair for repair in list_unique_repairs([audit]) if repair not in computed]
-    others = [
-        one for one in audit.findings if len(one.repairs) != 1 or one.repairs[0] not in written
+    other_findings = [
+        finding
+        for finding in audit.findings
+        if len(finding.repairs) != 1 or finding.repairs[0] not in written
     ]
-    repaired = len(audit.findings) - len(others)
+    repaired = len(audit.findings) - len(other_findings)
     answer = text("audit-patch", count=count, repaired=repaired, findings=len(audit.findings))
     blocks = (
         replace(block, detail=True) if isinstance(block, doc.FileFinding) else block
         for block in document.blocks
     )
-    remaining = describe_first_finding(others, "audit-remaining" if count else "audit-first")
+    remaining = describe_first_finding(
+        other_findings, "audit-remaining" if count else "audit-first"
+    )
     return replace(document, findings=(answer, *remaining), blocks=tuple(blocks))
 
 
@@ -106,8 +110,12 @@ def describe_first_finding(
 ) -> Iterable[doc.Words]:
     """Yield the text ``key`` of the first, most severe finding, if there is a finding."""
     if findings:
-        first, *others = findings
-        alike = [one for one in others if (one.rule, one.message) == (first.rule, first.message)]
+        first, *following = findings
+        alike = [
+            finding_alike
+            for finding_alike in following
+            if (finding_alike.rule, finding_alike.message) == (first.rule, first.message)
+        ]
         finding = summarise_finding(first.rule, first.diagnostic, len(alike))
         yield text(key, finding=finding)
 

@@ -125,7 +125,9 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]
 
 def _find_owner(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
     """Return the child of the XML root with a repair's tag and name; None if none or several."""
-    found = [one for one in _list_owners(document, repair) if one.parent is document.root]
+    found = [
+        element for element in _list_owners(document, repair) if element.parent is document.root
+    ]
     return found[0] if len(found) == 1 else None
 
 

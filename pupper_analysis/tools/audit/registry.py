@@ -60,8 +60,10 @@ def _read_catalogue() -> dict[str, Rule]:
     entries = tomllib.loads(own.read_text(encoding="utf-8"))
     for format in formats().values():
         if (file := format.folder / "rules.toml").is_file():
-            theirs = tomllib.loads(file.read_text(encoding="utf-8"))
-            entries |= {name: {"formats": [format.name], **entry} for name, entry in theirs.items()}
+            format_entries = tomllib.loads(file.read_text(encoding="utf-8"))
+            entries |= {
+                name: {"formats": [format.name], **entry} for name, entry in format_entries.items()
+            }
     rules = {}
     for name, entry in entries.items():
         words = _merge_texts(entry, entries[entry.get("like", name)], " ")

@@ -102,7 +102,7 @@ def _join_changes(changes: Iterable[ValueRepair | None]) -> Iterator[ValueRepair
 
 def _find_unique_child(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
     """Return the first element ``child`` of a link or joint; None if absent or name not unique."""
-    found = [one for one in robot.file.root.iterfind(tag) if one.get("name") == name]
+    found = [element for element in robot.file.root.iterfind(tag) if element.get("name") == name]
     return found[0].find(child) if len(found) == 1 else None
 
 
@@ -178,14 +178,14 @@ def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Va
             {name: link.mass for name, link in links.items() if link.mass},
         ):  # fmt: skip
             own = links[repair.name]
-            other = links[partner if repair.name == found.name else found.name]
-            factor = other.mass / own.mass if own.mass > 0 else math.nan
+            partner_link = links[partner if repair.name == found.name else found.name]
+            factor = partner_link.mass / own.mass if own.mass > 0 else math.nan
             is_scaled = (
                 own.inertial is not None
-                and other.inertial is not None
+                and partner_link.inertial is not None
                 and abs(math.log10(factor)) > 0.5
                 and np.allclose(
-                    factor * own.inertial.moments, other.inertial.moments, rtol=_MOMENT_RTOL
+                    factor * own.inertial.moments, partner_link.inertial.moments, rtol=_MOMENT_RTOL
                 )
             )
             if is_scaled:
@@ -232,25 +232,28 @@ def _repair_number(
     The number is the ``attribute`` of the element ``child``; ``values`` is {link or joint: number}.
     """
     kind = strip_sides(pair[0])
-    others = [
+    sibling_values = [
         value for name, value in values.items() if name not in pair and strip_sides(name) == kind
     ]
-    agreeing = len(others) >= MIN_SIBLINGS and np.allclose(others, others[0], rtol=1e-3)
+    agreeing = len(sibling_values) >= MIN_SIBLINGS and np.allclose(
+        sibling_values, sibling_values[0], rtol=1e-3
+    )
     wrong = [
         name
         for name in pair
-        if agreeing and not math.isclose(values.get(name, math.nan), others[0], rel_tol=0.01)
+        if agreeing
+        and not math.isclose(values.get(name, math.nan), sibling_values[0], rel_tol=0.01)
     ]
     targets = wrong if len(wrong) == 1 else pair if not agreeing else ()
     for name in targets:
-        other = pair[1] if name == pair[0] else pair[0]
-        source = _find_unique_child(robot, tag, other, child)
-        if source is not None and source.get(attribute) is not None and values.get(other, 0) > 0:
+        partner = pair[1] if name == pair[0] else pair[0]
+        source = _find_unique_child(robot, tag, partner, child)
+        if source is not None and source.get(attribute) is not None and values.get(partner, 0) > 0:
             new = {attribute: str(source.get(attribute))}
             reason = (
-                diagnose("repair-of-siblings", other=other, count=len(others))
+                diagnose("repair-of-siblings", other=partner, count=len(sibling_values))
                 if agreeing
-                else diagnose("repair-of-twin", other=other)
+                else diagnose("repair-of-twin", other=partner)
             )
             yield from _make_urdf_repair(robot, tag, name, child, new, reason)
 
@@ -357,7 +360,11 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     solids = [shape.compute_solid_inertia() for shape in shapes]
     known = [solid for solid in solids if solid is not None]
     points = [shape.points for shape in shapes]
-    if not known or len(known) < len(solids) or any(each is None for each in points):
+    if (
+        not known
+        or len(known) < len(solids)
+        or any(points_of_shape is None for points_of_shape in points)
+    ):
         return
     solid = functools.reduce(operator.add, known)
     if not solid.mass:  # a sphere of radius 0
@@ -368,7 +375,9 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     reason = diagnose("repair-solid", shapes=dict.fromkeys(Term(shape.kind) for shape in shapes))
     changes, turn = list[ValueRepair | None](), tags.inertial_rotation
     com = None if link.inertial is None else link.inertial.com
-    hull = np.concatenate([each for each in points if each is not None])
+    hull = np.concatenate(
+        [points_of_shape for points_of_shape in points if points_of_shape is not None]
+    )
     size = float(np.ptp(hull, axis=0).max())
     if com is None or compute_hull_distance(hull, com) > _MAX_OUTSIDE * size:
         ends = list_link_points(robot, link)
@@ -491,10 +500,14 @@ def _find_common_attributes(
     ``child`` is the path of the element below a link.
     """
     kind = strip_sides(name)
-    names = [other for other in robot.links if other != name and strip_sides(other) == kind]
+    names = [
+        link_name
+        for link_name in robot.links
+        if link_name != name and strip_sides(link_name) == kind
+    ]
     stated = []
-    for other in [*names, *([name] if own else [])]:
-        element = _find_unique_child(robot, "link", other, child)
+    for link_name in [*names, *([name] if own else [])]:
+        element = _find_unique_child(robot, "link", link_name, child)
         if element is None:
             return None
         texts = {"xyz": "0 0 0", "rpy": "0 0 0"} if element.tag == "origin" else {}
@@ -502,8 +515,8 @@ def _find_common_attributes(
     if len(names) <= MIN_SIBLINGS:
         return None
     values = [{word: text.split() for word, text in texts.items()} for texts in stated]
-    numbers = [{word: [*map(float, parts)] for word, parts in each.items()} for each in values]
-    return stated[0] if all(each == numbers[0] for each in numbers) else None
+    numbers = [{word: [*map(float, parts)] for word, parts in texts.items()} for texts in values]
+    return stated[0] if all(values_of_link == numbers[0] for values_of_link in numbers) else None
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
@@ -608,19 +621,19 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
         wrong = select_deviating_pairs(
             [(link, twin), (twin, link)],
             {
-                name: np.abs(other.inertial.com)
-                for name, other in robot.links.items()
-                if other.inertial is not None and strip_sides(name) == kind
+                name: np.abs(link_alike.inertial.com)
+                for name, link_alike in robot.links.items()
+                if link_alike.inertial is not None and strip_sides(name) == kind
             },
         )
-    for own, other in wrong:
+    for own, partner in wrong:
         stated = _find_common_attributes(robot, own.name, "inertial/origin")
-        com = _mirror_com(robot, own, other)
+        com = _mirror_com(robot, own, partner)
         if stated or com is not None:
-            reason = diagnose("repair-mirrored-com", other=other.name)
+            reason = diagnose("repair-mirrored-com", other=partner.name)
             new = {"xyz": _replace_deviating_coordinates(own, com)} if com is not None else {}
             if stated:
-                reason = diagnose("repair-of-limb", other=other.name)
+                reason = diagnose("repair-of-limb", other=partner.name)
                 new = {"xyz": stated["xyz"]}
             yield from _join_changes(
                 [_make_change(robot, own.name, "inertial/origin", new, reason)]
@@ -804,8 +817,10 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
         return []
     files = sorted(path.name for path in folder.iterdir() if path.is_file())
     same = [prefix + file for file in files if file.lower() == name.lower()]
-    other = [prefix + file for file in files if stem and Path(file).stem.lower() == stem.lower()]
-    return same or other
+    same_stem = [
+        prefix + file for file in files if stem and Path(file).stem.lower() == stem.lower()
+    ]
+    return same or same_stem
 
 
 def _repair_axis_length(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -847,9 +862,9 @@ def _repair_mirrored_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[
         return
     kind = strip_sides(link.name)
     entries = {
-        name: np.abs(other.inertial.inertia).ravel()
-        for name, other in robot.links.items()
-        if other.inertial is not None and strip_sides(name) == kind
+        name: np.abs(link_alike.inertial.inertia).ravel()
+        for name, link_alike in robot.links.items()
+        if link_alike.inertial is not None and strip_sides(name) == kind
     }
     scale = max((float(values.max()) for values in entries.values()), default=0.0)
     for own, _ in select_deviating_pairs(
@@ -929,19 +944,21 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
         for name in robot.joints
         if strip_sides(name) == kind
     }
-    others = [value for name, value in origins.items() if name not in (found.name, partner)]
-    agreeing = len(others) >= MIN_SIBLINGS and np.allclose(others, others[0], atol=1e-3)
+    sibling_values = [value for name, value in origins.items() if name not in (found.name, partner)]
+    agreeing = len(sibling_values) >= MIN_SIBLINGS and np.allclose(
+        sibling_values, sibling_values[0], atol=1e-3
+    )
     wrong = [
         name
         for name in (found.name, partner)
-        if agreeing and not np.allclose(origins[name], others[0], atol=1e-3)
+        if agreeing and not np.allclose(origins[name], sibling_values[0], atol=1e-3)
     ]
     for name in wrong if len(wrong) == 1 else () if agreeing else (found.name, partner):
-        other = partner if name == found.name else found.name
+        partner_name = partner if name == found.name else found.name
         joint = robot.joints[name]
-        place = mirror.reflect_point(robot.joints[other].position)
+        place = mirror.reflect_point(robot.joints[partner_name].position)
         local = robot.links[joint.parent].pose.inverse().point(place)
-        reason = diagnose("repair-mirrored-place", other=other)
+        reason = diagnose("repair-mirrored-place", other=partner_name)
         new = {"xyz": _format_vector(local)}
         yield from _make_urdf_repair(robot, "joint", name, "origin", new, reason)
 
@@ -958,15 +975,15 @@ def _turn_ancestors(
     for below, beside in ((name, partner), (partner, name)):
         if strip_sides(below) != strip_sides(beside):
             return []
-    chains = [list(_list_joints_above(robot, each)) for each in (name, partner)]
+    chains = [list(_list_joints_above(robot, joint)) for joint in (name, partner)]
     if len(chains[0]) != len(chains[1]):
         return []
-    for own, other in reversed(list(zip(*chains, strict=True))):
-        if own == other or strip_sides(own) != strip_sides(other):
+    for own, partner_joint in reversed(list(zip(*chains, strict=True))):
+        if own == partner_joint or strip_sides(own) != strip_sides(partner_joint):
             continue
         repairs = [
             repair
-            for joint, twin in ((own, other), (other, own))
+            for joint, twin in ((own, partner_joint), (partner_joint, own))
             for repair in _turn_joint(robot, mirror, joint, twin)
         ]
         angles = {
@@ -974,12 +991,14 @@ def _turn_ancestors(
             for joint in joints
             if strip_sides(joint) == strip_sides(own)
         }
-        others = [value for joint, value in angles.items() if joint not in (own, other)]
-        if len(others) >= MIN_SIBLINGS:
+        sibling_values = [
+            value for joint, value in angles.items() if joint not in (own, partner_joint)
+        ]
+        if len(sibling_values) >= MIN_SIBLINGS:
             repairs = [
                 repair
                 for repair in repairs
-                if not np.allclose(angles[repair.name], others[0], atol=1e-3)
+                if not np.allclose(angles[repair.name], sibling_values[0], atol=1e-3)
             ]
         if repairs:
             return repairs
@@ -1011,9 +1030,9 @@ def _turn_joint(
         moved = base * Pose(joint.origin.translation, rotation) * links[child].pose.inverse()
         gaps = []
         for pair in pairs:
-            own, other = pair if pair[0] in below else pair[::-1]
+            own, partner_link = pair if pair[0] in below else pair[::-1]
             place = (moved * links[own].pose).position
-            image = mirror.reflect_point(links[other].pose.position)
+            image = mirror.reflect_point(links[partner_link].pose.position)
             gaps.append(float(np.linalg.norm(place - image)))
         if len(gaps) > 1 and max(gaps) <= POSITION_TOLERANCE:
             angles = pin.rpy.matrixToRpy(rotation)
@@ -1039,14 +1058,16 @@ def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
         return
     kind = strip_sides(found.name)
     candidates: dict[tuple[tuple[str, str], ...], ValueRepair] = {}
-    for name, other in robot.file.tree.links.items():
-        theirs = other.element.findall("collision")
-        if name == found.name or strip_sides(name) != kind or len(theirs) != 1:
+    for name, link_alike in robot.file.tree.links.items():
+        shapes_alike = link_alike.element.findall("collision")
+        if name == found.name or strip_sides(name) != kind or len(shapes_alike) != 1:
             continue
-        drawn = [etree.tostring(shape, method="c14n") for shape in other.element.iterfind("visual")]
+        drawn = [
+            etree.tostring(shape, method="c14n") for shape in link_alike.element.iterfind("visual")
+        ]
         if _strip_space(own) == _strip_space(drawn):
             reason = diagnose("repair-of-limb", other=name)
-            _add_shape(candidates, robot, found.name, theirs[0], reason)
+            _add_shape(candidates, robot, found.name, shapes_alike[0], reason)
     if not candidates and len(own) == 1:
         visual = link.element.find("visual")
         meshes = [shape.find("geometry/mesh") for shape in (visual, *shapes)]

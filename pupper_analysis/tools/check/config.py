@@ -312,9 +312,9 @@ class _ConfigReader:
                     part = file[len(head) : len(file) - len(tail)]
                 files_by_part.setdefault(part, {})[kind] = file
         for part, files in files_by_part.items():
-            others = {name: value for name, value in entry.items() if name not in patterns}
+            other_entries = {name: value for name, value in entry.items() if name not in patterns}
             name = {"name": f"{entry['name']}/{part}"} if "name" in entry else {}
-            yield self.make_pair({**others, **name, **files})
+            yield self.make_pair({**other_entries, **name, **files})
 
     def match_files(self, pattern: str, key: str) -> list[str]:
         """Return the paths of the files that a pattern matches, relative to the configuration.

@@ -129,8 +129,8 @@ def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
     if not check.failures:
-        new = [one for one in check.remarks if not one.known and _is_audit_rule(one)]
-        warned = [one for one in new if one.severity is Severity.WARNING]
+        new = [remark for remark in check.remarks if not remark.known and _is_audit_rule(remark)]
+        warned = [remark for remark in new if remark.severity is Severity.WARNING]
         if warned:
             return _run_on_files(check, "audit", (warned[0].file,))
         pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
@@ -353,8 +353,10 @@ def _make_annotation(group: list[Remark], remark: Remark, place: str | None) -> 
     The number of remarks in ``group`` is stated with a common cause.
     """
     both = (remark.place, remark.other_place)
-    others = [relative_to_root(location) for location in both if location and location != place]
-    message = " ".join([remark.message, *(f"[{location}]" for location in others)])
+    other_locations = [
+        relative_to_root(location) for location in both if location and location != place
+    ]
+    message = " ".join([remark.message, *(f"[{location}]" for location in other_locations)])
     kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
     title = f"{kind}{joint}{remark.element}" if remark.element else kind
     about = RULES[kind].title if _is_audit_rule(remark) else describe_kind(kind)

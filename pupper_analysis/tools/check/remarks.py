@@ -132,13 +132,16 @@ def list_comparison_remarks(
             cause=causes.get(number),
         )
     messages = [("part", "", part, comparison.urdf) for part in comparison.parts]
-    for joints, path, other in (
+    for joints, path, lacking_path in (
         (comparison.only_urdf, comparison.urdf, comparison.mjcf),
         (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
     ):
         for name in joints:
             lacks = diagnose(
-                "joint-not-in-file", subject=("joint", name), lacks=Path(other).name, sources=path
+                "joint-not-in-file",
+                subject=("joint", name),
+                lacks=Path(lacking_path).name,
+                sources=path,
             )
             messages.append(("joint", name, lacks, path))
     messages += [

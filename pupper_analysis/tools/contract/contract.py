@@ -325,7 +325,7 @@ def _list_unshared_joints(placed: Sequence[PlacedSource]) -> dict[str, set[str]]
     return {
         source.source.name: list_unshared_joints(
             source.source,
-            {name for other in models if other is not source for name in other.source.order},
+            {name for model in models if model is not source for name in model.source.order},
         )
         for source in models
     }

@@ -108,7 +108,7 @@ def read_deployment(
         if source.role not in _PRECEDENCE:
             raise ModelError(source.path, diagnose("deployment-is-model", robot=robot.name))
         _check_numbers(source)
-        peers = [one.name for one in read if (one.path, one.role) == (source.path, source.role)]
+        peers = [peer.name for peer in read if (peer.path, peer.role) == (source.path, source.role)]
         if len(peers) > 1:
             named = [name.rpartition(":")[2].rpartition("/")[2] for name in peers]
             message = diagnose("contract-several", names=named, file=source.path.name)
@@ -128,9 +128,9 @@ def read_deployment(
             robot_source = replace(placed_source.source, name=robot.name, order=joints.order)
             notes += check_source(placed_source, robot_source)
     notes += [note for note in find_lost_quantities(placed, joints) if note not in notes]
-    placed.sort(key=lambda one: _PRECEDENCE.index(one.source.role))
+    placed.sort(key=lambda placed_source: _PRECEDENCE.index(placed_source.source.role))
     findings = find_disagreements(placed, joints)
-    differing = [one for one in findings if one.severity is Severity.ERROR]
+    differing = [finding for finding in findings if finding.severity is Severity.ERROR]
     if differing:
         first = differing[0].diagnostic
         notes.append(diagnose("deployment-differs", count=len(differing), first=first))
@@ -141,7 +141,11 @@ def read_deployment(
     _check_lengths(placed, facts)
     _check_order_is_unique(placed)
     ordered = _find_order_source(placed) or _assume_order(placed, joints)
-    stating = (one.source.observations for one in placed if one.source.observations)
+    stating = (
+        placed_source.source.observations
+        for placed_source in placed
+        if placed_source.source.observations
+    )
     return Deployment(
         joints=() if ordered is None else tuple(filter(None, ordered.order)),
         order_place="" if ordered is None else _describe_order_place(ordered),
@@ -159,12 +163,12 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     A policy file with joint names has precedence; an assumed order comes last.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
-    known = [one for one in placed if one.order]
+    known = [source for source in placed if source.order]
     return min(
         known,
-        key=lambda one: (
-            not (one.source.role is Role.POLICY and one.how == "named"),
-            ranks[one.how],
+        key=lambda source: (
+            not (source.source.role is Role.POLICY and source.how == "named"),
+            ranks[source.how],
         ),
         default=None,
     )
@@ -217,10 +221,10 @@ def _check_order_is_unique(placed: Sequence[PlacedSource]) -> None:
     A deployment with motor indices is compared only with others that have motor indices. A policy
     file with joint names decides the order. Drivers and trainers may have orders of their own.
     """
-    named = [one for one in placed if one.how == "named"]
-    if any(one.source.role is Role.POLICY for one in named):
+    named = [source for source in placed if source.how == "named"]
+    if any(source.source.role is Role.POLICY for source in named):
         return
-    deployments = [one for one in named if one.source.role is Role.DEPLOYMENT]
+    deployments = [source for source in named if source.source.role is Role.DEPLOYMENT]
     for first, second in combinations(deployments, 2):
         has_same_kind = bool(first.source.motors) == bool(second.source.motors)
         if has_same_kind and first.order != second.order:

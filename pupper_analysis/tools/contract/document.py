@@ -138,17 +138,17 @@ def _name_sources(contract: Contract) -> doc.Words:
     The name of a variant stands for its files.
     """
     first = Path(contract.model).name
-    others = dict.fromkeys(
+    other_paths = dict.fromkeys(
         source.path
         for source in contract.sources
         if source.path != contract.model
         and not (is_variant(contract.model) and source.role == Role.MODEL)
     )
-    if not others:
+    if not other_paths:
         return doc.Name(first)
-    if len(others) > 1:
-        return text("contract-names-of-many", first=doc.Name(first), count=len(others))
-    second = Path(next(iter(others))).name
+    if len(other_paths) > 1:
+        return text("contract-names-of-many", first=doc.Name(first), count=len(other_paths))
+    second = Path(next(iter(other_paths))).name
     return text("contract-names-of-two", first=doc.Name(first), second=doc.Name(second))
 
 

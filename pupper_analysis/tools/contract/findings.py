@@ -174,7 +174,7 @@ def find_disagreements(
         for finding in disagreements
         if finding.kind != "action offset" or finding.joints not in offsets
     ]
-    return tuple(sorted(kept, key=lambda one: one.severity.rank))
+    return tuple(sorted(kept, key=lambda finding: finding.severity.rank))
 
 
 def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSource, str]]:
@@ -195,9 +195,9 @@ def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSour
         and ("kd", joint) not in source.facts
         and any(
             facts_agree(fact, replace(kd, quantity="damping"))
-            for other in placed
-            if other.source.role is not Role.MODEL
-            and (kd := other.facts.get(("kd", joint))) is not None
+            for placed_source in placed
+            if placed_source.source.role is not Role.MODEL
+            and (kd := placed_source.facts.get(("kd", joint))) is not None
         )
     ]
 
@@ -240,9 +240,9 @@ def find_lost_quantities(placed: Sequence[PlacedSource], model: RobotJoints) -> 
     for source in placed:
         stated = [
             key
-            for other in placed
-            if other is not source
-            for key, fact in other.facts.items()
+            for placed_source in placed
+            if placed_source is not source
+            for key, fact in placed_source.facts.items()
             if find_quantity_kind(key[0]).severity is not None and fact.value is not None
         ]
         lost += [
@@ -446,7 +446,11 @@ def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagree
         limits = dict[str, Fact]()
         for name in model.source.unlimited:
             joint = model.names.get(name, name)
-            facts = (other.facts.get(("effort", joint)) for other in placed if other is not model)
+            facts = (
+                placed_source.facts.get(("effort", joint))
+                for placed_source in placed
+                if placed_source is not model
+            )
             stated = (fact for fact in facts if fact is not None and fact.value is not None)
             first = next((fact for fact in stated if math.isfinite(fact.number)), None)
             source = next(iter(limits.values()), first)
@@ -455,11 +459,11 @@ def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagree
         if not limits:
             continue
         head, fact = next(iter(limits.items()))
-        numbers = [each.number for each in limits.values()]
+        numbers = [limit.number for limit in limits.values()]
         kind = QUANTITIES["effort"]
         message = diagnose(
             "contract-effort-unlimited",
-            joints=tuple(each.joint for each in limits.values()),
+            joints=tuple(limit.joint for limit in limits.values()),
             low=Quantity(min(numbers), kind.unit),
             high=Quantity(max(numbers), kind.unit) if max(numbers) > min(numbers) else None,
             first=fact.source,
@@ -468,7 +472,7 @@ def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagree
         yield Disagreement(
             "effort",
             "",
-            tuple(each.joint for each in limits.values()),
+            tuple(limit.joint for limit in limits.values()),
             (fact.source, model.source.name),
             (fact.value, None),
             kind.unit,
@@ -510,10 +514,10 @@ def _compare_joint_quantity(
             if is_stated and not facts_agree(first_fact, fact):
                 key = (first, role, first_fact.source, fact.source)
                 pairs.setdefault(key, {})[joint] = (first_fact, fact)
-    for (first, other, *_), differing in pairs.items():
+    for (first, second, *_), differing in pairs.items():
         # A source may restrict the range of the model on purpose.
         is_range_difference = (
-            (first, other).count(Role.MODEL) == 1
+            (first, second).count(Role.MODEL) == 1
             and quantity in _LIMIT_QUANTITIES
             and not any(
                 _has_empty_range(placed, fact) for pair in differing.values() for fact in pair
@@ -792,11 +796,11 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
         and placed_source.how != "assumed"
         and (placed_source.facts or placed_source.source.motors)
     ]
-    for first, second in ((feeding[0], one) for one in feeding[1:]):
+    for first, second in ((feeding[0], source) for source in feeding[1:]):
         moved_joints = {
-            one: f"{first.order.index(one)} → {second.order.index(one)} ({one})"
-            for one, two in zip(first.order, second.order, strict=False)
-            if one != two and one in second.order
+            joint: f"{first.order.index(joint)} → {second.order.index(joint)} ({joint})"
+            for joint, second_joint in zip(first.order, second.order, strict=False)
+            if joint != second_joint and joint in second.order
         }
         mapped = first.source.motors and second.source.motors
         if moved_joints and not mapped and set(first.order) == set(second.order):
@@ -833,14 +837,19 @@ def _compare_motors(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
         for source in placed
         if source.how == "named" and source.source.motors
     ]
-    for (first, numbers), (second, other_numbers) in ((mapping[0], one) for one in mapping[1:]):
+    for (first, numbers), (second, other_numbers) in (
+        (mapping[0], source_mapping) for source_mapping in mapping[1:]
+    ):
         shared = (numbers.keys() & other_numbers.keys()) - {""}  # names without match
         pairs = zip(
             sorted(shared, key=numbers.__getitem__),
             sorted(shared, key=other_numbers.__getitem__),
             strict=True,
         )
-        moved = sorted((one for one, two in pairs if one != two), key=numbers.__getitem__)
+        moved = sorted(
+            (first_joint for first_joint, second_joint in pairs if first_joint != second_joint),
+            key=numbers.__getitem__,
+        )
         if not moved:
             continue
         texts = [f"{numbers[joint]} → {other_numbers[joint]} ({joint})" for joint in moved]
@@ -869,7 +878,7 @@ def _compare_observations(placed: Sequence[PlacedSource]) -> Iterator[Disagreeme
     stating = [
         placed_source.source for placed_source in placed if placed_source.source.observations
     ]
-    for first, second in ((stating[0], one) for one in stating[1:]):
+    for first, second in ((stating[0], source) for source in stating[1:]):
         first_terms, second_terms = list_observations(first), list_observations(second)
         first_common = tuple(name for name in first_terms if name in second_terms)
         second_common = tuple(name for name in second_terms if name in first_terms)

@@ -468,13 +468,16 @@ class Evaluator:
         """Run the body of a class, and add the class with inherited fields to the scope."""
         bases = [self.evaluate(base, scope).value for base in statement.bases]
         known = [base for base in bases if isinstance(base, ClassValue)]
-        theirs = dict(ChainMap(*(base.fields for base in known)))
+        inherited = dict(ChainMap(*(base.fields for base in known)))
         result = ClassValue(
-            statement.name, known, theirs, [name for base in known for name in base.annotated_names]
+            statement.name,
+            known,
+            inherited,
+            [name for base in known for name in base.annotated_names],
         )
         decorators = "".join(map(ast.unparse, statement.decorator_list))
         if "dataclass" in decorators or "configclass" in decorators:  # have their own ``__init__``
-            theirs.pop("__init__", None)
+            inherited.pop("__init__", None)
         node = self._make_node(result, statement, scope)
         self.run_statements(
             statement.body, scope.new_child({"__class__": node}).new_child(result.fields)
@@ -1327,12 +1330,12 @@ class Evaluator:
             if default is not None:
                 scope[name] = self.evaluate(default, enclosing)
         arguments = arguments if called.bound_object is None else [called.bound_object, *arguments]
-        others = {key: keywords[key] for key in keywords if key not in names}
+        extra_keywords = {key: keywords[key] for key in keywords if key not in names}
         scope.update(zip(first, arguments, strict=False))
         scope.update({key: keywords[key] for key in keywords if key in names})
         for rest, content in (
             (node.args.vararg, arguments[len(first) :]),
-            (node.args.kwarg, others),
+            (node.args.kwarg, extra_keywords),
         ):
             if rest is not None:
                 scope[rest.arg] = self._make_node(content, node, enclosing)

@@ -138,11 +138,12 @@ def select_configurations(request: Request, sources: Sequence[JointSource]) -> l
     if kept and kept[0].role is Role.TRAINER:
         statement_sets = [frozenset(source.content[0]) for source in kept]
         kept = [
-            one
-            for number, one in enumerate(kept)
+            source
+            for index, source in enumerate(kept)
             if not any(
-                statement_sets[number] < each or (statement_sets[number] == each and other < number)
-                for other, each in enumerate(statement_sets)
+                statement_sets[index] < statement_set
+                or (statement_sets[index] == statement_set and other_index < index)
+                for other_index, statement_set in enumerate(statement_sets)
             )
         ]
         if len(kept) > 1:

@@ -310,14 +310,16 @@ def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     textured = len(list(urdf.root.iter("texture")))
     if textured:
         losses.append(diagnose("textures-left", count=textured))
-    others = Counter(str(node.tag) for node in urdf.root if node.tag not in _CONVERTED_TAGS)
-    others += Counter(
+    other_tags = Counter(str(node.tag) for node in urdf.root if node.tag not in _CONVERTED_TAGS)
+    other_tags += Counter(
         str(node.tag)
         for joint in urdf.root.findall("joint")
         for node in joint
         if node.tag in _LOST_JOINT_TAGS
     )
-    elements = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
+    elements = [
+        diagnose("elements-left", tag=tag, count=count) for tag, count in other_tags.items()
+    ]
     return losses + elements
 
 
@@ -508,8 +510,8 @@ def put_defaults(root: etree._Element) -> None:
     top = root.find("default")
     assert top is not None
     for tag, attributes in _DEFAULT_ATTRIBUTES.items():
-        others = ("default", "equality")  # couplings are elements <joint> as well
-        elements = [found for found in root.iter(tag) if found.getparent().tag not in others]
+        other_parents = ("default", "equality")  # couplings are elements <joint> as well
+        elements = [found for found in root.iter(tag) if found.getparent().tag not in other_parents]
         common = _find_common_values(elements, attributes) if len(elements) > 1 else {}
         if common:
             top.insert(len(top.findall("joint")), etree.Element(tag, common))
@@ -566,8 +568,8 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
             losses.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
     resisting = model.dof_damping + model.dof_frictionloss + model.dof_armature
-    others = [body for body in range(1, model.nbody) if body not in robot]
-    away = [*others] if 0 in robot else [0, *others]
+    other_bodies = [body for body in range(1, model.nbody) if body not in robot]
+    away = [*other_bodies] if 0 in robot else [0, *other_bodies]
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     for count, what in (
         (np.count_nonzero(model.jnt_stiffness[moving]), "springs"),
@@ -588,8 +590,8 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
     ):
         if count:
             losses.append(diagnose("not-in-urdf", what=Term(what), count=int(count)))
-    if others:
-        names = [model.body(body).name or f"{body}" for body in others]
+    if other_bodies:
+        names = [model.body(body).name or f"{body}" for body in other_bodies]
         losses.append(diagnose("bodies-not-carried", bodies=names))
     if not np.allclose(model.opt.gravity, DOWNWARD_GRAVITY):
         losses.append(diagnose("gravity-not-in-urdf", gravity=model.opt.gravity))

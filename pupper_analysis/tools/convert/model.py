@@ -309,7 +309,7 @@ def _put_impossible_first(
 ) -> tuple[Diagnostic, ...]:
     """Put remarks about impossible inertials, as possible causes, before the failures, if any."""
     found = tuple(failures)
-    return (*(one for one in remarks if found and one.code in IMPOSSIBLE_CODES), *found)
+    return (*(remark for remark in remarks if found and remark.code in IMPOSSIBLE_CODES), *found)
 
 
 def _make_converted_robot(

@@ -284,10 +284,10 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
         candidates.append((("angle", other_unit, unit), "degree", not degree))
     best: tuple[tuple[str, str, str], set[PropertyKey]] = (("", "", ""), set())
     for setting, name, new in candidates:
-        other = spec.copy()
-        setattr(other.compiler, name, new)
+        copied_spec = spec.copy()
+        setattr(copied_spec.compiler, name, new)
         try:
-            model = other.compile()
+            model = copied_spec.compile()
         except (ValueError, RuntimeError):
             continue
         tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
@@ -703,8 +703,11 @@ def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
     With a rotation E and a diagonal matrix D, the tensors are then E D E^T and E^T D E.
     """
     urdf, mjcf = pair.urdf, pair.mjcf
-    for link, other in ((mjcf, urdf), (urdf, mjcf)):
-        stated, right = (link.axes.T @ each.body.inertia @ link.axes for each in (link, other))
+    for link, other_link in ((mjcf, urdf), (urdf, mjcf)):
+        stated, right = (
+            link.axes.T @ link_of_file.body.inertia @ link.axes
+            for link_of_file in (link, other_link)
+        )
         moments, axes = np.linalg.eigh(right)
         axes = axes * float(np.sign(np.linalg.det(axes)))
         for turn in quarter_turns():

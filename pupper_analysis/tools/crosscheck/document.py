@@ -152,13 +152,13 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
 def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
     """Yield each joint that only a single file contains: name, message, and the file."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
-    for joints, file, other in (
+    for joints, file, lacking_path in (
         (comparison.only_urdf, urdf, mjcf),
         (comparison.only_mjcf, mjcf, urdf),
     ):
         for name in joints:
             subject = ("joint", name)
-            yield name, diagnose("joint-not-in-file", subject=subject, lacks=other), file
+            yield name, diagnose("joint-not-in-file", subject=subject, lacks=lacking_path), file
 
 
 def _describe_guesses(comparison: Comparison) -> Diagnostic:
@@ -273,10 +273,10 @@ def _describe_extent(comparison: Comparison) -> doc.Text:
     elif count:
         found = text("differences-without-effect", count=found)
     first = comparison.main_problem
-    others = [cause.diagnostic for cause in comparison.causes if cause.diagnostic != first]
-    if len(others) == len(comparison.causes) or not others:
+    other_causes = [cause.diagnostic for cause in comparison.causes if cause.diagnostic != first]
+    if len(other_causes) == len(comparison.causes) or not other_causes:
         return found  # line 1 contains no cause, or the only cause
-    cause = doc.diagnostic_text(others[0])
+    cause = doc.diagnostic_text(other_causes[0])
     return text("differences-of-another-cause", differences=found, cause=cause)
 
 
@@ -405,12 +405,14 @@ def _make_difference_block(
     """Create the block of a difference, with the quoted lines of both files and the effects."""
     paths = (comparison.urdf, comparison.mjcf)
     columns = []
-    for place, value, other in (
+    for place, value, other_value in (
         (difference.urdf_place, difference.urdf, difference.mjcf),
         (difference.mjcf_place, difference.mjcf, difference.urdf),
     ):
         line = quote_line(place, *paths)
-        shown = doc.Name(line) if line else doc.Name(f"{shorten(value, other)} {difference.unit}")
+        shown = (
+            doc.Name(line) if line else doc.Name(f"{shorten(value, other_value)} {difference.unit}")
+        )
         named = doc.Name(_shorten_place(place)) if place else text("not-in-the-file")
         columns.append(doc.FilePlace(named, shown, place or ""))
     made_of = map(doc.diagnostic_text, difference.made_of)

@@ -264,7 +264,7 @@ class _Comparison:
         self.first, self.second = self._unify_joints(one.tree, second)
 
     def _unify_joints(
-        self, one: MultibodyTree, two: MultibodyTree
+        self, old_tree: MultibodyTree, new_tree: MultibodyTree
     ) -> tuple[MultibodyTree, MultibodyTree]:
         """Reduce both trees to the joints of both versions, with the names of the old version.
 
@@ -273,20 +273,23 @@ class _Comparison:
         Raises:
             ModelError: If both versions have joints, but no joint in common.
         """
-        if one.joints and two.joints and not self.pairs:
+        if old_tree.joints and new_tree.joints and not self.pairs:
             before, after = name_files(*(source.name for source in self.sources))
             message = diagnose(
-                "no-joint-in-common", other=after, old=tuple(one.joints), new=tuple(two.joints)
+                "no-joint-in-common",
+                other=after,
+                old=tuple(old_tree.joints),
+                new=tuple(new_tree.joints),
             )
             raise ModelError(before, message)
-        gone = [name for name in one.joints if name not in self.pairs]
-        come = [name for name in two.joints if name not in self.pairs.values()]
-        for joints, where, other in (
+        gone = [name for name in old_tree.joints if name not in self.pairs]
+        come = [name for name in new_tree.joints if name not in self.pairs.values()]
+        for joints, where, other_version in (
             (gone, VERSION_NAMES.first, self.two),
             (come, VERSION_NAMES.second, self.one),
         ):
             for name in joints:
-                if (HELD_KIND, name) in other.extra_values:
+                if (HELD_KIND, name) in other_version.extra_values:
                     continue  # reported by `_compare_extra_values`
                 old, new = ("there", None) if joints is gone else (None, "there")
                 message = diagnose("joint-in-one-version", subject=("joint", name), file=where)
@@ -296,25 +299,29 @@ class _Comparison:
                 message = diagnose("joint-renamed", subject=("joint", old), new=new)
                 self.differences.append(Difference("name", old, old, new, "", message, {}))
         for name in reversed(gone):
-            one = fix_joint(one, name)
+            old_tree = fix_joint(old_tree, name)
         for name in reversed(come):
-            two = fix_joint(two, name)
-        two = rename_joints(two, {new: old for old, new in self.pairs.items()})
-        two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
-        if one.floating != two.floating:
-            if not isinstance(self.one.file, UrdfFile):  # a URDF does not state the type
-                before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
-                both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.message_values}
-                message = diagnose("base-type-differs", subject=("body", one.base), **both)
-                difference = Difference("type", one.base, before, after, "", message, {})
-                self.differences.append(difference)
-            one, two = replace(one, floating=True), replace(two, floating=True)
-        common = [frame for frame in one.frames if frame in two.frames]
-        one, two = (
-            replace(tree, frames={frame: tree.frames[frame] for frame in common})
-            for tree in (one, two)
+            new_tree = fix_joint(new_tree, name)
+        new_tree = rename_joints(new_tree, {new: old for old, new in self.pairs.items()})
+        new_tree = replace(
+            new_tree, joints={name: new_tree.joints[name] for name in new_tree.parents_first()}
         )
-        return one, two
+        if old_tree.floating != new_tree.floating:
+            if not isinstance(self.one.file, UrdfFile):  # a URDF does not state the type
+                before, after = (
+                    "free" if tree.floating else "fixed" for tree in (old_tree, new_tree)
+                )
+                both = {"one": Term(before), "two": Term(after), **VERSION_NAMES.message_values}
+                message = diagnose("base-type-differs", subject=("body", old_tree.base), **both)
+                difference = Difference("type", old_tree.base, before, after, "", message, {})
+                self.differences.append(difference)
+            old_tree, new_tree = replace(old_tree, floating=True), replace(new_tree, floating=True)
+        common = [frame for frame in old_tree.frames if frame in new_tree.frames]
+        old_tree, new_tree = (
+            replace(tree, frames={frame: tree.frames[frame] for frame in common})
+            for tree in (old_tree, new_tree)
+        )
+        return old_tree, new_tree
 
     def result(self) -> ModelDiff:
         """Compare joints, bodies and other elements of both versions, and return the changes."""

@@ -1022,8 +1022,10 @@ def _compare_runs(
             )
         )
     if None not in (before.friction, after.friction) and before.friction != after.friction:
-        one, two = (math.atan(run.friction or 0.0) for run in (before, after))
-        facts.append(diagnose("slides-from", one=Quantity(one, "rad"), two=Quantity(two, "rad")))
+        old_angle, new_angle = (math.atan(run.friction or 0.0) for run in (before, after))
+        facts.append(
+            diagnose("slides-from", one=Quantity(old_angle, "rad"), two=Quantity(new_angle, "rad"))
+        )
     if not facts:
         return {}, (diagnose("simulation-unchanged", **where),)
     effects = {MOTION_QUANTITY: Effect(worst, worst, math.inf)} if worst > MIN_FELT_MOTION else {}

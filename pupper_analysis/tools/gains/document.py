@@ -125,20 +125,26 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             )
     if study.sag_failure is not None:
         yield text("gains-sag", failure=doc.diagnostic_text(study.sag_failure))
-    for one in study.exceeded:
-        if one.largest_kp_of_torque is not None and one.kp > one.largest_kp_of_torque:
+    for joint_class in study.exceeded:
+        if (
+            joint_class.largest_kp_of_torque is not None
+            and joint_class.kp > joint_class.largest_kp_of_torque
+        ):
             yield text(
                 "gains-above-torque",
-                joints=doc.Name(one.name),
-                kp=f"{format_bound(one.largest_kp_of_torque, one.kp, upper=True)} "
-                f"{one.units.stiffness}",
+                joints=doc.Name(joint_class.name),
+                kp=f"{format_bound(joint_class.largest_kp_of_torque, joint_class.kp, upper=True)} "
+                f"{joint_class.units.stiffness}",
             )
-        if one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder:
+        if (
+            joint_class.largest_kd_of_encoder is not None
+            and joint_class.kd > joint_class.largest_kd_of_encoder
+        ):
             yield text(
                 "gains-above-noise",
-                joints=doc.Name(one.name),
-                kd=f"{format_bound(one.largest_kd_of_encoder, one.kd, upper=True)} "
-                f"{one.units.damping}",
+                joints=doc.Name(joint_class.name),
+                kd=f"{format_bound(joint_class.largest_kd_of_encoder, joint_class.kd, upper=True)} "
+                f"{joint_class.units.damping}",
             )
 
 
@@ -147,8 +153,8 @@ def _format_present_gains(study: GainStudy) -> doc.Text:
     return text(
         "gains-present-values",
         added=bool(study.servos.made),
-        kp=_format_range((one.kp for one in study.classes), "").rstrip(),
-        kd=_format_range((one.kd for one in study.classes), "").rstrip(),
+        kp=_format_range((joint_class.kp for joint_class in study.classes), "").rstrip(),
+        kd=_format_range((joint_class.kd for joint_class in study.classes), "").rstrip(),
     )
 
 
@@ -163,8 +169,12 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
     largest = study.largest_kd.factor
     if study.by_inertia:
         is_recommended = study.recommended_kp_factor is not None
-        stiffnesses = [one.recommended_kp or one.reference_kp for one in study.classes]
-        dampings = [one.recommended_kd or one.reference_kd for one in study.classes]
+        stiffnesses = [
+            joint_class.recommended_kp or joint_class.reference_kp for joint_class in study.classes
+        ]
+        dampings = [
+            joint_class.recommended_kd or joint_class.reference_kd for joint_class in study.classes
+        ]
         return text(
             "gains-by-inertia-recommended" if is_recommended else "gains-by-inertia",
             kp=_format_range(stiffnesses, study.units.stiffness),
@@ -188,9 +198,11 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
     return text(
         "gains-factors" if largest is not None else "gains-factors-open",
         added=bool(study.servos.made),
-        kp=_format_range((one.kp for one in study.classes), study.units.stiffness),
-        kd=_format_range((one.kd for one in study.classes), study.units.damping),
-        stiffnesses=_format_range((one.kp for one in study.classes), study.units.stiffness, ".."),
+        kp=_format_range((joint_class.kp for joint_class in study.classes), study.units.stiffness),
+        kd=_format_range((joint_class.kd for joint_class in study.classes), study.units.damping),
+        stiffnesses=_format_range(
+            (joint_class.kp for joint_class in study.classes), study.units.stiffness, ".."
+        ),
         least="" if least_factor is None else format_bound(least_factor, 1.0, upper=False),
         most="" if largest is None else format_bound(largest, 1.0, upper=True),
     )
@@ -261,20 +273,20 @@ def _make_class_table(study: GainStudy) -> doc.Table:
     """Create the table of present gains, bounds and recommended gains, a row per joint class."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(one.name),
-            doc.number_cell(one.kp, ".4g"),
-            *_reference_cells(study, one.reference_kp),
-            make_bound_cell(one.least_kp, one.kp, upper=False),
-            make_bound_cell(one.largest_kp_of_torque, one.kp, upper=True),
-            doc.number_cell(one.recommended_kp, ".3g"),
-            doc.number_cell(one.kd, ".4g"),
-            *_reference_cells(study, one.reference_kd),
-            make_bound_cell(one.largest_kd, one.kd, upper=True),
-            make_bound_cell(one.largest_kd_alone, one.kd, upper=True),
-            make_bound_cell(one.largest_kd_of_encoder, one.kd, upper=True),
-            doc.number_cell(one.recommended_kd, ".3g"),
+            doc.Name(joint_class.name),
+            doc.number_cell(joint_class.kp, ".4g"),
+            *_reference_cells(study, joint_class.reference_kp),
+            make_bound_cell(joint_class.least_kp, joint_class.kp, upper=False),
+            make_bound_cell(joint_class.largest_kp_of_torque, joint_class.kp, upper=True),
+            doc.number_cell(joint_class.recommended_kp, ".3g"),
+            doc.number_cell(joint_class.kd, ".4g"),
+            *_reference_cells(study, joint_class.reference_kd),
+            make_bound_cell(joint_class.largest_kd, joint_class.kd, upper=True),
+            make_bound_cell(joint_class.largest_kd_alone, joint_class.kd, upper=True),
+            make_bound_cell(joint_class.largest_kd_of_encoder, joint_class.kd, upper=True),
+            doc.number_cell(joint_class.recommended_kd, ".3g"),
         )
-        for one in study.classes
+        for joint_class in study.classes
     ]
     stiffness, damping = study.units.stiffness, study.units.damping
     return doc.Table(

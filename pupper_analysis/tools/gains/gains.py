@@ -309,21 +309,35 @@ class GainStudy(Tabular):
     @property
     def uniform(self) -> bool:
         """Whether all joints have the same reference stiffness and the same reference damping."""
-        return len({(one.reference_kp, one.reference_kd) for one in self.classes}) == 1
+        return (
+            len(
+                {
+                    (joint_class.reference_kp, joint_class.reference_kd)
+                    for joint_class in self.classes
+                }
+            )
+            == 1
+        )
 
     @property
     def units(self) -> JointUnits:
         """Units of the gains of all joints; mixed units if there are hinges and slides."""
-        return combine_joint_units(one.units for one in self.classes)
+        return combine_joint_units(joint_class.units for joint_class in self.classes)
 
     @property
     def exceeded(self) -> tuple[JointClass, ...]:
         """Joint classes whose kp exceeds the bound of a torque limit, or kd that of the encoder."""
         return tuple(
-            one
-            for one in self.classes
-            if (one.largest_kp_of_torque is not None and one.kp > one.largest_kp_of_torque)
-            or (one.largest_kd_of_encoder is not None and one.kd > one.largest_kd_of_encoder)
+            joint_class
+            for joint_class in self.classes
+            if (
+                joint_class.largest_kp_of_torque is not None
+                and joint_class.kp > joint_class.largest_kp_of_torque
+            )
+            or (
+                joint_class.largest_kd_of_encoder is not None
+                and joint_class.kd > joint_class.largest_kd_of_encoder
+            )
         )
 
 

@@ -36,12 +36,12 @@ def write_gains(
         OutputError: If a file cannot be written.
     """
     numbers: dict[PropertyKey, float] = {}
-    for one in study.classes:
-        if one.recommended_kp is None or one.recommended_kd is None:
+    for joint_class in study.classes:
+        if joint_class.recommended_kp is None or joint_class.recommended_kd is None:
             raise ConfigurationError("write", diagnose("no-recommended-gains"))
-        for joint in one.joints:
-            numbers["kp", joint] = float(f"{one.recommended_kp:.{_NUM_DIGITS}g}")
-            numbers["kd", joint] = float(f"{one.recommended_kd:.{_NUM_DIGITS}g}")
+        for joint in joint_class.joints:
+            numbers["kp", joint] = float(f"{joint_class.recommended_kp:.{_NUM_DIGITS}g}")
+            numbers["kd", joint] = float(f"{joint_class.recommended_kd:.{_NUM_DIGITS}g}")
     written = write_numbers(robot, numbers, files=files)
     write_all(written.make_writings(folder))
     return written

@@ -41,7 +41,7 @@ generation 0, and numbers of collections of generations 0 and 1 before a collect
 generation. The values are the defaults of Python up to 3.12. They replace `cli.GC_THRESHOLDS`,
 which postpone collections, because the page runs for hours."""
 
-_ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
+_ROBOT_OPTIONS = frozenset(("words", *(option.name for option in fields(RobotOptions))))
 """Names of the command's parameters that all modes accept: files and options of the robot."""
 
 _PAGE = Phrase("the page", "网页")

@@ -244,8 +244,10 @@ def _fails_alone_alike(limit: PayloadLimit) -> bool:
 def _describe_failure_alone(limit: PayloadLimit) -> doc.Text:
     """Return the text of the failure without gravity compensation; without time for the ground."""
     failure = join_ground_touches(limit.failures_alone)[0]
-    touching = [one for one in limit.failures_alone if one.code == TOUCH_CODE]
-    names = tuple(one.subject.name for one in touching if one.subject is not None)
+    touching = [
+        failure_alone for failure_alone in limit.failures_alone if failure_alone.code == TOUCH_CODE
+    ]
+    names = tuple(touch.subject.name for touch in touching if touch.subject is not None)
     if limit.failures_alone[0].code == TOUCH_CODE and names:
         return text("ground-touched-by", failure=word(Failure.GROUND.value), where=names)
     return doc.diagnostic_text(failure)

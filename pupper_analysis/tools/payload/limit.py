@@ -542,7 +542,7 @@ class _PayloadSimulations:
 
         Empty if no payload above ``mass`` [kg] was simulated.
         """
-        larger = [other for other in self._runs_alone if other > mass]
+        larger = [mass_alone for mass_alone in self._runs_alone if mass_alone > mass]
         return self._runs_alone[min(larger)].failures if larger else ()
 
     def holds(self, mass: float) -> bool:

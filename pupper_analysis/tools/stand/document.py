@@ -296,14 +296,20 @@ def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
         return None
-    classes = [each for each in servos.classes if set(each.joints) <= set(soft.joints)]
+    classes = [
+        joint_class for joint_class in servos.classes if set(joint_class.joints) <= set(soft.joints)
+    ]
     words: list[str] = []
-    for each in classes:
-        matching = match_names(each.name, stance.statics.joint_names)
-        if sorted(matching) != sorted(each.joints):
+    for joint_class in classes:
+        matching = match_names(joint_class.name, stance.statics.joint_names)
+        if sorted(matching) != sorted(joint_class.joints):
             return None
-        words += ["--kp", f"{each.name}={soft.factor * each.kp:g}"]
-        words += ["--kd", f"{each.name}={soft.factor * each.kd:g}"] if each.kd > 0 else []
+        words += ["--kp", f"{joint_class.name}={soft.factor * joint_class.kp:g}"]
+        words += (
+            ["--kd", f"{joint_class.name}={soft.factor * joint_class.kd:g}"]
+            if joint_class.kd > 0
+            else []
+        )
     return NextStep("stand", tuple(words))
 
 

@@ -163,7 +163,7 @@ def _describe_extreme_designs(outcome: StudyOutcome, metric: str, sense: str) ->
     rows = pareto_front(outcome.table, {metric: sense})
     counts = {name: rows[name].nunique() for name in outcome.variables}
     shared = [name for name, count in counts.items() if count == 1]
-    others = [
+    varied = [
         text(
             "extreme-design-values",
             name=doc.Name(name),
@@ -176,7 +176,7 @@ def _describe_extreme_designs(outcome: StudyOutcome, metric: str, sense: str) ->
     values = [doc.Name(_format_design(rows.iloc[0][shared], outcome.units))] if shared else []
     return text(
         "extreme-design",
-        values=join_words([*values, *others]) if shared else "",
+        values=join_words([*values, *varied]) if shared else "",
         count=len(rows),
     )
 

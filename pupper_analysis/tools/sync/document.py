@@ -120,7 +120,7 @@ def _describe_unwritten(differences: Iterable[Difference]) -> doc.Text | None:
 
     None without such a difference.
     """
-    unwritten = [one for one in differences if one.kind in UNWRITTEN_KINDS]
+    unwritten = [difference for difference in differences if difference.kind in UNWRITTEN_KINDS]
     if not unwritten:
         return None
     return text(
@@ -185,8 +185,8 @@ def _count_placeholders(differences: Sequence[Difference], side: str) -> int:
             by_mass.setdefault(value, []).append(other)
     repeated = {
         mass
-        for mass, others in by_mass.items()
-        if len(others) >= _MIN_REPEATED_MASSES and len(set(others)) > 1
+        for mass, new_masses in by_mass.items()
+        if len(new_masses) >= _MIN_REPEATED_MASSES and len(set(new_masses)) > 1
     }
     return sum(
         _is_placeholder(difference, side)

@@ -38,7 +38,9 @@ from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 
-_SHARED_JOINT_KINDS = tuple(one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats)
+_SHARED_JOINT_KINDS = tuple(
+    attribute.kind for attribute in JOINT_ATTRIBUTES if attribute.is_in_both_formats
+)
 """Kinds of joint numbers that both formats contain, so that `sync` can write the numbers."""
 
 _WRITTEN_KINDS = (*INERTIAL_KINDS, "position", *_SHARED_JOINT_KINDS)

@@ -38,7 +38,9 @@ _LIMIT_KINDS = ("lower limit", "upper limit")
 """Kinds of the two position limits of a joint, which `sync` writes together."""
 
 _NUMBER_KINDS = [
-    one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats and one.kind not in _LIMIT_KINDS
+    attribute.kind
+    for attribute in JOINT_ATTRIBUTES
+    if attribute.is_in_both_formats and attribute.kind not in _LIMIT_KINDS
 ]
 """Kinds of joint numbers in both formats, except position limits."""
 

@@ -354,8 +354,8 @@ def _fold(function: Callable[..., Any]) -> Operation:
     """Return the operation f(f(a, b), c)... of any number of arrays, for a binary function f."""
 
     def apply(first: Array, *others: Array) -> Any:
-        for other in others:
-            first = function(first, other)
+        for array in others:
+            first = function(first, array)
         return first
 
     return apply

@@ -99,7 +99,7 @@ def write_template(
         OutputError: If the file cannot be written, or would replace another file.
     """
     network, statements = read_statements(policy, deployment)
-    stated = {key: one for one in statements for key in one.values}
+    stated = {key: statement for statement in statements for key in statement.values}
     missing = tuple(key for key in _REQUIRED_KEYS if key not in stated)
     lines = [
         f"# Observation and action of {policy.name}: {network.inputs} inputs, {network.outputs} "

@@ -128,10 +128,10 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
     The actuator must drive a hinge with limits.
     """
     found = list(_list_robot_drives(robot))
-    others = [(model, drive) for model, drive in found if not drive.is_servo]
-    if len(others) != 1 or len(found) - 1 < MIN_SERVOS:
+    other_actuators = [(model, drive) for model, drive in found if not drive.is_servo]
+    if len(other_actuators) != 1 or len(found) - 1 < MIN_SERVOS:
         return
-    model, drive = others[0]
+    model, drive = other_actuators[0]
     hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
     if hinge and model.jnt_limited[drive.joint]:
         message = diagnose("drive-of-another-kind", gain=drive.gain, servos=len(found) - 1)

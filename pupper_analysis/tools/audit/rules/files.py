@@ -225,7 +225,7 @@ def choose_mesh_axes(file: UrdfFile) -> UrdfModel:
     turned = read_urdf_model(file, turn=True)
     pairs = [(measure_joint_gap(as_read, name), measure_joint_gap(turned, name)) for name in names]
     for_turn, against = (
-        sum(other > max(MIN_JOINT_GAP, 2 * chosen) for other, chosen in votes)
+        sum(unchosen > max(MIN_JOINT_GAP, 2 * chosen) for unchosen, chosen in votes)
         for votes in (pairs, [pair[::-1] for pair in pairs])
     )
     return turned if for_turn >= MIN_AXIS_VOTES and for_turn > 3 * against else as_read

@@ -166,8 +166,8 @@ def mimic_invalid(robot: UrdfModel) -> Iterator[CheckFinding]:
         followed = robot.joints.get(leader)
         is_fixed = followed is not None and not followed.moves
         if name in chain or followed is None or is_fixed:
-            others = [other for other in robot.joints if other != name]
-            alike = difflib.get_close_matches(leader, others, n=1, cutoff=0.8)
+            other_joints = [joint for joint in robot.joints if joint != name]
+            alike = difflib.get_close_matches(leader, other_joints, n=1, cutoff=0.8)
             message = diagnose(
                 "mimic-invalid",
                 leader=leader,
@@ -340,9 +340,9 @@ def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
     lower, upper = np.deg2rad((joint.lower, joint.upper))
     kind = strip_sides(joint.name)
     return any(
-        np.allclose(limits, (other.lower, other.upper), rtol=0.01)
-        for other in hinges
-        if other is not joint and strip_sides(other.name) == kind
+        np.allclose(limits, (hinge.lower, hinge.upper), rtol=0.01)
+        for hinge in hinges
+        if hinge is not joint and strip_sides(hinge.name) == kind
         for limits in ((lower, upper), (-upper, -lower))
     )
 
@@ -418,9 +418,9 @@ def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | N
     None if there is no such joint with a positive, finite effort.
     """
     for _, first, second in list_joint_pairs(robot):
-        for joint, other in ((first, second), (second, first)):
-            if joint.name == name and 0 < other.effort < math.inf:
-                return other.name, other.effort
+        for joint, partner in ((first, second), (second, first)):
+            if joint.name == name and 0 < partner.effort < math.inf:
+                return partner.name, partner.effort
     return None
 
 

@@ -532,7 +532,7 @@ def _find_excess_axis(inertial: Inertial, points: Array) -> tuple[Array, float, 
             found.append((moment / most, axis, moment, most))
     if not found:
         return None
-    return max(found, key=lambda each: each[0])[1:]
+    return max(found, key=lambda excess: excess[0])[1:]
 
 
 @rule

@@ -126,8 +126,10 @@ def _find_plane_of_displaced_limb(
         return np.array([link.pose.position for link in links]) - np.array(origins)
 
     names = [[pair[side] for pair in pairs] for side in (0, 1)]
-    places = [np.array([robot.links[name].pose.position for name in each]) for each in names]
-    vectors = [list_vectors(each) for each in names]
+    places = [
+        np.array([robot.links[name].pose.position for name in side_names]) for side_names in names
+    ]
+    vectors = [list_vectors(side_names) for side_names in names]
     is_long = np.linalg.norm(vectors[0], axis=1) > tolerance
     for axis in (1, 0, 2):
         middles = (places[0][:, axis] + places[1][:, axis]) / 2
@@ -212,7 +214,7 @@ def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
         limbs.setdefault(root, []).append((first, second))
     copied, mirrored_kinds = {}, set()
     for root, limb in limbs.items():
-        offsets, others = np.zeros(2, int), np.zeros(2, int)
+        offset_votes, other_votes = np.zeros(2, int), np.zeros(2, int)
         for first, second in limb:
             if (parents := pairs.get((str(first.parent), str(second.parent)))) is not None:
                 arms = [
@@ -221,13 +223,13 @@ def find_copied_links(robot: RobotModel, mirror: MirrorPlane) -> frozenset[str]:
                 ]
                 turn = parents[1].pose.rotation @ parents[0].pose.rotation.T
                 vote = _compare_hypotheses(arms[0], arms[1], turn, mirror, POSITION_TOLERANCE)
-                offsets += vote if first.moving else 0
-                others += vote if not first.moving else 0
-            others += _compare_inertials(first, second, mirror)
-        votes = offsets + others
+                offset_votes += vote if first.moving else 0
+                other_votes += vote if not first.moving else 0
+            other_votes += _compare_inertials(first, second, mirror)
+        votes = offset_votes + other_votes
         if votes[1] > votes[0]:
             mirrored_kinds.add(strip_sides(root))
-        is_placed = offsets[0] > offsets[1] or not offsets.any()
+        is_placed = offset_votes[0] > offset_votes[1] or not offset_votes.any()
         if is_placed and votes[0] >= MIN_COPIED_TERMS and votes[0] > votes[1]:
             copied[root] = limb
     return frozenset(
@@ -357,9 +359,10 @@ def _is_choice_of_frame(robot: RobotModel, mirror: MirrorPlane, first: Link, sec
         return False
     names = [{child.name for child in robot.children(link.name)} for link in (first, second)]
     return all(
-        _measure_asymmetry(mirror, _get_anchor(one), _get_anchor(other)) <= POSITION_TOLERANCE
-        for one, other in _list_body_pairs(robot)
-        if one.moving and one.name in names[0] and other.name in names[1]
+        _measure_asymmetry(mirror, _get_anchor(first_child), _get_anchor(second_child))
+        <= POSITION_TOLERANCE
+        for first_child, second_child in _list_body_pairs(robot)
+        if first_child.moving and first_child.name in names[0] and second_child.name in names[1]
     )
 
 
@@ -641,11 +644,15 @@ def joint_name_odd(robot: RobotModel) -> Iterator[CheckFinding]:
         return
     counts = Counter(strip_sides(name) for name in robot.joints)
     for links in odd:
-        link, other = sorted(links, key=lambda link: counts[strip_sides(link.joints[0].name)])
-        name, other_name = link.joints[0].name, other.joints[0].name
+        link, partner_link = sorted(
+            links, key=lambda link: counts[strip_sides(link.joints[0].name)]
+        )
+        name, other_name = link.joints[0].name, partner_link.joints[0].name
         if not name or counts[strip_sides(name)] == counts[strip_sides(other_name)]:
             continue
-        message = diagnose("joint-name-odd", link=other.name, other=other_name, count=num_regular)
+        message = diagnose(
+            "joint-name-odd", link=partner_link.name, other=other_name, count=num_regular
+        )
         yield CheckFinding("joint", name, message)
 
 
@@ -724,28 +731,28 @@ def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
         if len(odd := np.flatnonzero(~agrees)) == 1
     ]
     if len(exceptions) > 1:
-        unlike = [each for each in exceptions if not _ranges_agree(mirror, *each[0])]
+        unlike = [exception for exception in exceptions if not _ranges_agree(mirror, *exception[0])]
         exceptions = unlike if len(unlike) == 1 else exceptions
     if not exceptions:
         return
     (first, second), is_mirrored = exceptions[0]
     kind = strip_sides(first.name)
     hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT]
-    others = [joint for joint in hinges if joint not in (first, second)]
-    equal = [joint for joint in others if strip_sides(joint.name) == kind]
+    other_hinges = [joint for joint in hinges if joint not in (first, second)]
+    equal = [joint for joint in other_hinges if strip_sides(joint.name) == kind]
     plane = mirror if is_mirrored else None
-    for group in (equal, others):
+    for group in (equal, other_hinges):
         votes = sum(_compare_senses(joint, second, plane) for joint in group)
         if votes:
             break
-    joint, other = (second, first) if votes < 0 else (first, second)
-    against = [each for each in equal or others if _compare_senses(each, joint, plane) < 0]
+    joint, partner = (second, first) if votes < 0 else (first, second)
+    against = [hinge for hinge in equal or other_hinges if _compare_senses(hinge, joint, plane) < 0]
     message = diagnose(
         "mirror-axis-reversed",
-        other=other.name,
+        other=partner.name,
         pairs=len(pairs) - 1,
         certain=bool(votes),
-        like=(against or equal or others)[0].name,
+        like=(against or equal or other_hinges)[0].name,
     )
     yield CheckFinding("joint", joint.name, message, "axis")
 
@@ -968,13 +975,15 @@ def select_deviating_pairs(
         differ (`SIBLING_ATOL`). Empty if none or several of the first links deviate.
     """
     names = {link.name for link, _ in pairs}
-    others = [value for name, value in values.items() if name not in names]
-    if len(others) < MIN_SIBLINGS or not np.allclose(others, others[0], atol=SIBLING_ATOL):
+    other_values = [value for name, value in values.items() if name not in names]
+    if len(other_values) < MIN_SIBLINGS or not np.allclose(
+        other_values, other_values[0], atol=SIBLING_ATOL
+    ):
         return pairs
     wrong = [
         pair
         for pair in pairs
-        if not np.allclose(values[pair[0].name], others[0], atol=SIBLING_ATOL)
+        if not np.allclose(values[pair[0].name], other_values[0], atol=SIBLING_ATOL)
     ]
     return wrong if len(wrong) == 1 else []
 

@@ -653,7 +653,7 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
     if len(found["collision"]) != 1 or sum(s.collides for s in robot.links[name].shapes) != 1:
         return None
     ((stem, place),) = found["collision"]
-    places = [visual for other, visual in found["visual"] if other == stem]
+    places = [visual for visual_stem, visual in found["visual"] if visual_stem == stem]
     return float(np.linalg.norm(places[0] - place)) if len(places) == 1 else None
 
 

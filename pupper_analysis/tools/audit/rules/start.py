@@ -266,28 +266,28 @@ def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
         return
     ground = ground_geom(model)
     feet = [geom for geom in list_foot_geoms(robot) if may_touch(model, geom, ground)]
-    others = [
+    checked_geoms = [
         geom
         for geom in range(model.ngeom)
         if geom not in feet
         and model.body_weldid[model.geom_bodyid[geom]]
         and may_touch(model, geom, ground)
     ]
-    if len(feet) < MIN_FEET or not others:
+    if len(feet) < MIN_FEET or not checked_geoms:
         return
     data = mujoco.MjData(model)
     heights = partial(_compute_heights, model, data, ground)
     qpos = np.array(model.key_qpos[key])
-    foot_heights, other_heights = heights(qpos, feet), heights(qpos, others)
+    foot_heights, other_heights = heights(qpos, feet), heights(qpos, checked_geoms)
     lowest = float(other_heights.min())
     if lowest < 0 or foot_heights.min() < MIN_FOOT_CLEARANCE + lowest:
         return
-    remedy = _find_opposite_signs(robot, qpos, feet, others, heights)
+    remedy = _find_opposite_signs(robot, qpos, feet, checked_geoms, heights)
     message = diagnose(
         "keyframe-feet-in-air",
         lowest=_round_quantity(float(foot_heights.min()), "m"),
         highest=_round_quantity(float(foot_heights.max()), "m"),
-        body=robot.body_names[int(model.geom_bodyid[others[int(other_heights.argmin())]])],
+        body=robot.body_names[int(model.geom_bodyid[checked_geoms[int(other_heights.argmin())]])],
         height=_round_quantity(lowest, "m"),
         joints=() if remedy is None else remedy[0],
         then=None if remedy is None else _round_quantity(remedy[1], "m"),

@@ -55,7 +55,11 @@ def read(request: Request) -> Iterator[JointSource]:
         notes.append(diagnose("contract-text-alone", file=request.path.name, why=problem))
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
     ids = {} if compiled is None else group_actuators_by_joint(compiled)
-    drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
+    drives = (
+        {compiled.joint(joint).name: actuators for joint, actuators in ids.items()}
+        if compiled
+        else {}
+    )
     statements = [
         statement
         for joint in model.joints.values()
@@ -149,7 +153,9 @@ def _read_refused_mjcf(model: MjcfModel) -> MjcfModel:
     spec = model.file.spec.copy()
     for element in (*spec.pairs, *spec.excludes, *spec.sensors, *spec.keys, *spec.equalities):
         spec.delete(element)
-    for geom in [one for one in spec.geoms if one.type == mujoco.mjtGeom.mjGEOM_MESH]:
+    for geom in [
+        candidate for candidate in spec.geoms if candidate.type == mujoco.mjtGeom.mjGEOM_MESH
+    ]:
         spec.delete(geom)
     spec.compiler.boundmass = spec.compiler.boundinertia = _MIN_REFUSED_INERTIA
     spec.compiler.balanceinertia = True

@@ -202,8 +202,8 @@ def read_nested_tables(
             extra_keys = {"update_rate": rate} if rate.is_present else {}
             table = LocatedValue({**parameters.value, **extra_keys}, parameters.place)
             yield from read_table(request, f"{request.path.name}:{key}", table, Role.DRIVER)
-    others = {key: node for key, node in document.table.items() if not nodes[key].is_present}
-    lowered = _lower_keys(replace(document, value=others))
+    other_nodes = {key: node for key, node in document.table.items() if not nodes[key].is_present}
+    lowered = _lower_keys(replace(document, value=other_nodes))
     # Tables inside a trainer's settings are not sources.
     is_trainer = training.is_trainer_config(document)
     whole = _View("", (lowered,), load_key_rules("table", request.path))
@@ -520,9 +520,11 @@ def _list_table_statements(
 def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
     """Return the position actions of a policy's actions, {name of an action: table}."""
     return [
-        one
-        for key, one in node.table.items()
-        if isinstance(one.value, dict) and "Velocity" not in str(key) and "Effort" not in str(key)
+        action
+        for key, action in node.table.items()
+        if isinstance(action.value, dict)
+        and "Velocity" not in str(key)
+        and "Effort" not in str(key)
     ]
 
 
@@ -632,10 +634,10 @@ def _read_limits(request: Request, limits: LocatedValue) -> Iterator[JointSource
         name: row["limits"] for name, row in FIELD_TABLE["quantities"].items() if "limits" in row
     }
     statements = [
-        one.get(word).make_statement(quantity, joint)
-        for joint, one in limits.table.items()
+        limit.get(word).make_statement(quantity, joint)
+        for joint, limit in limits.table.items()
         for quantity, (word, switch) in words.items()
-        if one.get(word).is_present and one.get(switch).value is not False
+        if limit.get(word).is_present and limit.get(switch).value is not False
     ]
     if statements:
         yield JointSource(request.path.name, request.path, Role.DRIVER, tuple(statements))

@@ -161,8 +161,10 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
     begin = max([stamps[0] for stamps in times.values()], default=-np.inf)
     rows: dict[int, int] = {}
     for action, observation in enumerate(nearest.tolist()):
-        other = rows.get(observation)
-        if observed[observation] >= begin and (other is None or distance[action] < distance[other]):
+        previous = rows.get(observation)
+        if observed[observation] >= begin and (
+            previous is None or distance[action] < distance[previous]
+        ):
             rows[observation] = action
     if len(rows) < MIN_ACTIONS:
         problem = diagnose("policy-is-silent", observed=len(rows), acted=len(rows))

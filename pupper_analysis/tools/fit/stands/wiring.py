@@ -176,9 +176,9 @@ def find_wiring(
 
     wirings: Iterable[Wiring] = generate_wirings(robot)
     if doubted:
-        others = [row for row in range(len(stands)) if row not in doubted]
+        other_rows = [row for row in range(len(stands)) if row not in doubted]
         num_others = max(0, MIN_STANDS - len(doubted))
-        few = stands.select_rows([*doubted, *others[:num_others]])
+        few = stands.select_rows([*doubted, *other_rows[:num_others]])
         ranked = rank(wirings, few, evaluate(few))
         wirings = [wiring for _, wiring in ranked[:_MAX_WEIGHED_WIRINGS]]
 
