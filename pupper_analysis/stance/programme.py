@@ -225,7 +225,7 @@ class StanceProgram:
         tolerance = _SATISFIED_VIOLATION if relaxable else TASK_TOLERANCE
         progress = _Progress(tolerance, _PATIENCE[relaxable])
         cost = self._cost
-        x = self._minimise(
+        x = self._run_slsqp(
             lambda x: (float(cost @ x), cost),
             self._make_start(qpos, task),
             1e-9,
@@ -238,7 +238,7 @@ class StanceProgram:
         for requirement, slack in zip(numbers.requirements, slacks.tolist(), strict=True):
             given[requirement] += slack
         return Relaxation(
-            numbers.make_task(values), self._point(x).qpos, given, self._max_violation(x)
+            numbers.make_task(values), self._get_point(x).qpos, given, self._max_violation(x)
         )
 
     def minimise_foot_distances(self, qpos: Array) -> Array:
@@ -252,13 +252,13 @@ class StanceProgram:
         """
         x, scale = self._make_start(qpos, None), self._unit**-2
         for tolerance, most in ((1e-12, _SOLVE_ITERATIONS[1]), (1e-10, _MAX_ITERATIONS)):
-            x = self._minimise(partial(self._squared_distances, scale=scale), x, tolerance, most)
+            x = self._run_slsqp(partial(self._squared_distances, scale=scale), x, tolerance, most)
             scale = 1 / max(self._squared_distances(x)[0], (self._unit / _FINE_UNIT_DIVISOR) ** 2)
-        return self._point(x).qpos
+        return self._get_point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
         """Compute ``scale`` times the sum of squared foot errors [m^2], and the gradient (v,)."""
-        at = self._configuration(x)
+        at = self._get_configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
         for foot, target in self._targets.foot_targets.items():
@@ -269,7 +269,7 @@ class StanceProgram:
         own[:2] *= self._unit
         return scale * total, scale * own
 
-    def _minimise(
+    def _run_slsqp(
         self,
         function: Callable[[Array], tuple[float, Array]],
         start: Array,
@@ -298,7 +298,7 @@ class StanceProgram:
             """
             if progress is not None:
                 progress.update(x, self._max_violation(x))
-            return self._jacobian(x)[rows]
+            return self._get_used_jacobian(x)[rows]
 
         total = len(self._rows[0])
         kinds = ("eq", slice(0, equal)), ("ineq", slice(equal, total))
@@ -312,7 +312,7 @@ class StanceProgram:
                 constraints=[
                     {
                         "type": kind,
-                        "fun": lambda x, rows=rows: self._residuals(x)[rows],
+                        "fun": lambda x, rows=rows: self._get_used_residuals(x)[rows],
                         "jac": partial(rates, rows=rows),
                     }
                     for kind, rows in kinds
@@ -328,7 +328,7 @@ class StanceProgram:
 
     def _max_violation(self, x: Array) -> float:
         """Return the largest violation of the constraints [m, rad]."""
-        left, equal = self._residuals(x), self._rows[1]
+        left, equal = self._get_used_residuals(x), self._rows[1]
         off = np.abs(left[:equal]).max(initial=0.0)
         return float(max(off, -left[equal:].min(initial=0.0)))
 
@@ -347,7 +347,7 @@ class StanceProgram:
         numbers = self._numbers
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
-    def _evaluate(self, x: Array) -> _Point:
+    def _evaluate_point(self, x: Array) -> _Point:
         """Compute targets, configuration and constraint residuals at the variables ``x`` (v,)."""
         targets = self._compute_targets(self._compute_requirement_values(x), self._targets)
         qpos = np.empty(self._robot.nq)
@@ -363,41 +363,41 @@ class StanceProgram:
         targets = compute_targets(self._robot, task, stated.depths, like, checked=False)
         return replace(targets, loop_opening=stated.loop_opening)
 
-    def _point(self, x: Array) -> _Point:
+    def _get_point(self, x: Array) -> _Point:
         """Return targets, configuration and constraint residuals at the variables ``x`` (v,)."""
         if self._last is None or not (x == self._last.x).all():
-            self._last = self._evaluate(x)
+            self._last = self._evaluate_point(x)
         return self._last
 
-    def _configuration(self, x: Array) -> Configuration:
+    def _get_configuration(self, x: Array) -> Configuration:
         """Return the robot's `Configuration` at the variables ``x`` (v,)."""
-        there = self._point(x)
+        there = self._get_point(x)
         if self._at is None or self._at[0] is not there:
             self._at = there, Configuration(self._robot, there.qpos)
         return self._at[1]
 
-    def _residuals(self, x: Array) -> Array:
+    def _get_used_residuals(self, x: Array) -> Array:
         """Return the used constraint residuals [m, rad] at ``x`` (v,), equalities first."""
-        joined: Array = _stack(self._point(x).residuals, 0)[self._rows[0]]
+        joined: Array = _stack_blocks(self._get_point(x).residuals, 0)[self._rows[0]]
         return joined
 
-    def _jacobian(self, x: Array) -> Array:
-        """Return the Jacobian of ``_residuals`` by the variables ``x`` (v,)."""
+    def _get_used_jacobian(self, x: Array) -> Array:
+        """Return the Jacobian of ``_get_used_residuals`` by the variables ``x`` (v,)."""
         if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
-            self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
+            self._jacobian_there = x.copy(), self._compute_jacobian(x)[self._rows[0]]
         return self._jacobian_there[1]
 
-    def _derivative(self, x: Array) -> Array:
+    def _compute_jacobian(self, x: Array) -> Array:
         """Compute the Jacobian (r, v) of all r constraint residuals by the v variables.
 
         Derivatives by robot motion are analytic, those by relaxable values partly difference
         quotients.
         """
-        there, values = self._point(x), self._compute_requirement_values(x)
-        config = self._configuration(x)
+        there, values = self._get_point(x), self._compute_requirement_values(x)
+        config = self._get_configuration(x)
         rates = [c.jacobian(there.targets, config) for c in self._constraints]
         at = self._shapes.move_to(there.qpos)
-        moved = _stack(rates, self._robot.nv)
+        moved = _stack_blocks(rates, self._robot.nv)
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
         towards = np.copysign(_DIFFERENCE_STEP * numbers.units, numbers.values - values)
@@ -427,7 +427,7 @@ class StanceProgram:
         x = np.zeros(len(self._cost))
         low, high = np.maximum(self._targets.lower, -np.pi), np.minimum(self._targets.upper, np.pi)
         x[2 : 2 + self._robot.nu] = random.uniform(low, np.maximum(low, high))
-        residuals, whole = self._point(x).residuals, self._derivative(x)
+        residuals, whole = self._get_point(x).residuals, self._compute_jacobian(x)
         pairs = zip(self._constraints, residuals, strict=True)
         equal = sum(len(rows) for constraint, rows in pairs if constraint.is_equality)
         triangle, order = lapack.pivoted_qr(whole[:equal].T)
@@ -436,7 +436,7 @@ class StanceProgram:
         return np.concatenate([kept, np.arange(equal, len(whole))]), len(kept)
 
 
-def _stack(blocks: Sequence[Array], columns: int) -> Array:
+def _stack_blocks(blocks: Sequence[Array], columns: int) -> Array:
     """Concatenate vectors (n,), or matrices (n, columns) if ``columns`` > 0, along the rows."""
     return np.concatenate([np.zeros((0, columns) if columns else 0), *blocks])
 

@@ -91,8 +91,10 @@ def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> Non
     free = elastic._high > elastic._low  # variables with equal bounds are fixed
     x += free * random.uniform(0.01, 0.05, len(x))
     way = free * random.normal(size=len(x))
-    ends = [elastic._residuals(x + step * way) for step in (1e-6, -1e-6)]
-    np.testing.assert_allclose(elastic._jacobian(x) @ way, (ends[0] - ends[1]) / 2e-6, atol=2e-3)
+    ends = [elastic._get_used_residuals(x + step * way) for step in (1e-6, -1e-6)]
+    np.testing.assert_allclose(
+        elastic._get_used_jacobian(x) @ way, (ends[0] - ends[1]) / 2e-6, atol=2e-3
+    )
 
 
 @pytest.mark.slow

@@ -746,7 +746,7 @@ class SagEquilibrium:
             if residuals[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, float(np.abs(residual).max()))
-            if _alternates(residuals):
+            if _is_alternating(residuals):
                 return None
             if derivative is None or residuals[-1] ** 2 > max_predicted * residuals[-2]:
                 derivative = self.apply_welds(qpos, self.derivative(qpos, forces))
@@ -860,7 +860,7 @@ class SagEquilibrium:
         return law.viscosity(depth) if creeps else math.inf
 
 
-def _alternates(residuals: Sequence[float]) -> bool:
+def _is_alternating(residuals: Sequence[float]) -> bool:
     """Return True if the last four residuals repeat with a period of two iterations."""
     if len(residuals) < 4:
         return False

@@ -222,7 +222,7 @@ def _open_page(
     robot = load_walking_robot(selection, "text", everything=False)
     with shared.show_progress("making the page"):
         page = Page(robot, initial_state, **server_options)
-    _serve(page, server_options["host"], browser=browser)
+    _serve_page(page, server_options["host"], browser=browser)
 
 
 def _open_walk(
@@ -248,10 +248,10 @@ def _open_walk(
     robot = load_walking_robot(selection, "text", everything=False)
     with shared.show_progress("making the page"):
         page = WalkPage(robot, loaded_policy, command, **server_options)
-    _serve(page, server_options["host"], browser=browser)
+    _serve_page(page, server_options["host"], browser=browser)
 
 
-def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
+def _serve_page(page: ServedPage, host: str, *, browser: bool) -> None:
     """Print the address of a page, warn if other machines can reach it, and serve until Ctrl-C."""
     from pupper_analysis.tools.live.access import is_loopback
     from pupper_analysis.tools.live.server import serve

@@ -132,16 +132,16 @@ def test_solves_that_end_at_alternating_contacts_do_not_change_the_stiffness(
     robot = load("original")
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     counts: list[int] = []
-    alternates = equilibrium._alternates
+    alternates = equilibrium._is_alternating
 
     def count(residuals: list[float]) -> bool:
         counts.append(len(residuals))
         return alternates(residuals)
 
-    monkeypatch.setattr(equilibrium, "_alternates", count)
+    monkeypatch.setattr(equilibrium, "_is_alternating", count)
     found = estimate_minimum_stiffness(robot, stand)
     assert max(counts) < equilibrium._MAX_ITERATIONS
-    monkeypatch.setattr(equilibrium, "_alternates", lambda _: False)
+    monkeypatch.setattr(equilibrium, "_is_alternating", lambda _: False)
     assert estimate_minimum_stiffness(robot, stand) == found
 
 
@@ -155,4 +155,4 @@ def test_solves_that_end_at_alternating_contacts_do_not_change_the_stiffness(
     ],
 )
 def test_residuals_alternate_if_two_of_them_repeat(residuals: list[float], expected: bool) -> None:
-    assert equilibrium._alternates(residuals) is expected
+    assert equilibrium._is_alternating(residuals) is expected

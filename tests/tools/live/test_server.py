@@ -16,7 +16,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.cli import GC_THRESHOLDS
 from pupper_analysis.tools.live import server
-from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve
+from pupper_analysis.tools.live.command import PYTHON_THRESHOLDS, _serve_page
 from pupper_analysis.tools.live.server import Page
 from pupper_analysis.tools.live.state import State
 from tests.support.patience import PATIENCE
@@ -208,7 +208,7 @@ def test_serving_uses_the_default_garbage_collection(
     before = gc.get_threshold()
     gc.set_threshold(*GC_THRESHOLDS)
     try:
-        _serve(page, "127.0.0.1", browser=False)
+        _serve_page(page, "127.0.0.1", browser=False)
         assert gc.get_freeze_count() > 0
     finally:
         gc.unfreeze()
