@@ -26,10 +26,10 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     A text that a spreadsheet may execute as a formula gets a leading apostrophe. Numbers, also as
     text, stay unchanged: ``-0.1``.
     """
-    return "".join(map(_line, rows))
+    return "".join(map(_format_record, rows))
 
 
-def _line(row: Iterable[object]) -> str:
+def _format_record(row: Iterable[object]) -> str:
     """Format a row as one record of CSV, with a line feed at the end."""
     text = io.StringIO(newline="")
     # Some versions of Python quote a carriage return only if the line terminator contains one.

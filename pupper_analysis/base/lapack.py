@@ -88,7 +88,7 @@ def _combine_pairs(imaginary: Array, vectors: Array) -> ComplexArray:
     return combined
 
 
-def _decompose(matrix: Array, *, full_matrices: bool) -> tuple[Array, Array, Array]:
+def _compute_svd(matrix: Array, *, full_matrices: bool) -> tuple[Array, Array, Array]:
     """Return left singular vectors (columns), singular values, and right singular vectors (rows).
 
     ``matrix`` is not empty. With ``full_matrices``, both sets of vectors are complete bases.
@@ -124,7 +124,7 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
     num_rows, num_columns = finite.shape
     if not finite.size:
         return np.eye(num_columns)
-    _, singular, across = _decompose(finite, full_matrices=True)
+    _, singular, across = _compute_svd(finite, full_matrices=True)
     fraction = np.finfo(float).eps * max(num_rows, num_columns) if rcond is None else rcond
     rank = int((singular > singular.max(initial=0.0) * fraction).sum())
     basis: Array = across[rank:].T
@@ -148,7 +148,7 @@ def orth(matrix: Array) -> Array:
     num_rows, num_columns = finite.shape
     if not finite.size:
         return np.empty((num_rows, 0))
-    along, singular, _ = _decompose(finite, full_matrices=False)
+    along, singular, _ = _compute_svd(finite, full_matrices=False)
     least = singular.max(initial=0.0) * np.finfo(float).eps * max(num_rows, num_columns)
     basis: Array = along[:, : int((singular > least).sum())]
     return basis

@@ -63,7 +63,7 @@ def _open_locked(place: str) -> int | None:
     while True:
         handle = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            if not _lock(handle):
+            if not _lock_file(handle):
                 os.close(handle)
                 return None
             # The process that held the lock may have removed the file since it was opened.
@@ -76,7 +76,7 @@ def _open_locked(place: str) -> int | None:
         os.close(handle)
 
 
-def _lock(handle: int) -> bool:
+def _lock_file(handle: int) -> bool:
     """Lock an open file (descriptor ``handle``); return False if another process holds the lock.
 
     On systems without POSIX locks, nothing is locked and the result is True.

@@ -69,7 +69,7 @@ def render_result(result: object) -> str:
     for name in names:
         value, unit = getattr(result, name), units.get(name, "")
         if _is_result(value) and describe_dataclass(value) is None:
-            shown = _fold(value, is_open=len(names) <= MAX_SHOWN_ROWS)
+            shown = _make_foldable_table(value, is_open=len(names) <= MAX_SHOWN_ROWS)
         else:
             shown = format_value(_name_joints(result, name, value), unit)
         rows.append((name, shown, unit if isinstance(unit, str) else ""))
@@ -184,7 +184,7 @@ def _is_result(value: object) -> bool:
     return is_dataclass(value) and hasattr(type(value), "_repr_html_")
 
 
-def _fold(result: object, *, is_open: bool) -> str:
+def _make_foldable_table(result: object, *, is_open: bool) -> str:
     """Return the HTML table of a result that the reader can fold and unfold."""
     state = ' open="open"' if is_open else ""
     name = escape(type(result).__name__)
@@ -235,7 +235,7 @@ def format_value(value: object, unit: str | Mapping[str, str] = "") -> str:
         return _make_sequence_html(value, unit if isinstance(unit, str) else "")
     if is_dataclass(value) and type(value).__str__ is object.__str__:
         return escape(_summarise_dataclass(value, unit if isinstance(unit, str) else ""))
-    return escape(_summarise(value))
+    return escape(_get_shortened_text(value))
 
 
 def _format_entry(name: object, item: object, unit: str | Mapping[str, str]) -> str:
@@ -324,7 +324,7 @@ def _lines_html(lines: Sequence[str]) -> str:
     return "<br>".join(shown)
 
 
-def _summarise(value: object) -> str:
+def _get_shortened_text(value: object) -> str:
     """Return the text of an object (`_get_text`), cut off after `MAX_TEXT_LENGTH` characters."""
     text = _get_text(value)
     return text if len(text) <= MAX_TEXT_LENGTH else f"{text[:MAX_TEXT_LENGTH]} ..."
