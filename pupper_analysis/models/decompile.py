@@ -137,8 +137,8 @@ MuJoCo normalises quaternions and axes again, which changes the last digits. Cho
 """
 
 _VERTEX_ATOL: Final = 1e-5
-"""Absolute tolerance [m] of compared points of a geom (`_outline`), such as the vertices of its
-mesh, which MuJoCo stores with seven digits. Chosen, not tuned.
+"""Absolute tolerance [m] of compared points of a geom (`_list_outline_points`), such as the
+vertices of its mesh, which MuJoCo stores with seven digits. Chosen, not tuned.
 """
 
 
@@ -422,7 +422,9 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
         if not equal:
             yield name
     for geom in range(model.ngeom):
-        if not np.allclose(_outline(model, geom), _outline(made, geom), atol=_VERTEX_ATOL):
+        if not np.allclose(
+            _list_outline_points(model, geom), _list_outline_points(made, geom), atol=_VERTEX_ATOL
+        ):
             yield f"geom_pos of geom {geom}"
     for name in dir(model.opt):
         value = getattr(model.opt, name)
@@ -432,7 +434,7 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
             yield f"option {name}"
 
 
-def _outline(model: mujoco.MjModel, geom: int) -> Array:
+def _list_outline_points(model: mujoco.MjModel, geom: int) -> Array:
     """Return points that define pose and size of a geom, shape (n, 3) [m], in the body frame.
 
     For a mesh, the points are the vertices.

@@ -148,7 +148,7 @@ def read_objects(
         ModelError: If no robot can be made of an object; the message names the reason.
         OutputError: If this run of the command line also writes a file that a model uses.
     """
-    parts = [part for model in models for part in _unwrap(model)]
+    parts = [part for model in models for part in _split_wrapper(model)]
     shapes = [model for model in parts if isinstance(model, pin.GeometryModel)]
     non_geometry_models = [model for model in parts if not isinstance(model, pin.GeometryModel)]
     owners = [model for model in non_geometry_models if isinstance(model, pin.Model)]
@@ -164,7 +164,7 @@ def read_objects(
         yield ObjectFiles(tuple(files), owners[0] if owners else None, Path(folder))
 
 
-def _unwrap(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
+def _split_wrapper(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
     """Split a ``pin.RobotWrapper`` into model and collision model; keep other objects."""
     if not isinstance(model, pin.RobotWrapper):
         return (model,)

@@ -195,11 +195,16 @@ class _UrdfWriter:
         }
         if stated:
             ends = {"lower": -UNSTATED, "upper": UNSTATED} | stated
-            limits |= {word: _write(end) for word, end in ends.items()}
+            limits |= {word: _format_number(end) for word, end in ends.items()}
         add_element(element, "limit", **limits)
         damping, friction = float(model.damping[dof]), float(model.friction[dof])
         if damping or friction:
-            add_element(element, "dynamics", damping=_write(damping), friction=_write(friction))
+            add_element(
+                element,
+                "dynamics",
+                damping=_format_number(damping),
+                friction=_format_number(friction),
+            )
 
     def add_shape(self, item: pin.GeometryObject, folder: Path, index: int) -> None:
         """Add a collision shape to the link that moves with the shape's parent joint.
@@ -218,12 +223,12 @@ class _UrdfWriter:
         shape = add_element(collision, "geometry")
         solid = item.geometry
         if isinstance(solid, coal.Sphere):
-            add_element(shape, "sphere", radius=_write(solid.radius))
+            add_element(shape, "sphere", radius=_format_number(solid.radius))
         elif isinstance(solid, coal.Box):
             add_element(shape, "box", size=join_numbers(2 * solid.halfSide, 1, None))
         elif isinstance(solid, coal.Capsule | coal.Cylinder):
             tag = "capsule" if isinstance(solid, coal.Capsule) else "cylinder"
-            length, radius = _write(2 * solid.halfLength), _write(solid.radius)
+            length, radius = _format_number(2 * solid.halfLength), _format_number(solid.radius)
             add_element(shape, tag, radius=radius, length=length)
         else:
             file = folder / f"shape_{index}.stl"
@@ -260,19 +265,19 @@ def _add_urdf_inertial(link: etree._Element, inertia: pin.Inertia) -> None:
         return
     element = add_element(link, "inertial")
     set_origin(element, pin.SE3(np.eye(3), np.array(inertia.lever)))
-    add_element(element, "mass", value=_write(inertia.mass))
+    add_element(element, "mass", value=_format_number(inertia.mass))
     entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2)}
     moments: Mapping[str, str] = {
-        word: _write(matrix[entry]) for word, entry in (entries | {"izz": (2, 2)}).items()
+        word: _format_number(matrix[entry]) for word, entry in (entries | {"izz": (2, 2)}).items()
     }
     add_element(element, "inertia", **moments)
 
 
-def _write(number: float) -> str:
+def _format_number(number: float) -> str:
     """Return the shortest text of a number that is read back without loss."""
     return repr(float(number))
 
 
 def _write_limit(limit: float) -> str:
     """Return the text of an effort or velocity limit, which is bounded by `UNSTATED`."""
-    return _write(limit) if limit < UNSTATED else f"{UNSTATED:g}"
+    return _format_number(limit) if limit < UNSTATED else f"{UNSTATED:g}"

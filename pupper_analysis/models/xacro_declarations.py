@@ -64,7 +64,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
             raise make_element_error(path, element, diagnose("file-is-xacro"))
         tag = etree.QName(element).localname
         names.append(f"{tag} {element.get('name') or element.get('filename') or ''}".strip())
-        _remove(element)
+        _remove_element(element)
     for element in root.iter():
         texts = (*map(str, element.attrib.values()), element.text or "")
         if any(map(XACRO_EXPRESSION.search, texts)):
@@ -72,7 +72,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
     return [diagnose("xacro-ignored", names=names)]
 
 
-def _remove(element: etree._Element) -> None:
+def _remove_element(element: etree._Element) -> None:
     """Remove an element, and keep the text behind the element."""
     parent, before = element.getparent(), element.getprevious()
     if before is None:

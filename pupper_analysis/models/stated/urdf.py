@@ -352,7 +352,10 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
 
 @lru_cache(maxsize=64)
 def _read_collada(path: Path, _changed: int) -> Mesh:
-    """Read all parts of a COLLADA file as one mesh [m], cached for a path and modification time."""
+    """Read all parts of a COLLADA file as one mesh [m]; its arrays are read-only.
+
+    The results are cached by path and modification time ``_changed`` [ns].
+    """
     mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
     points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
     for array in (points, faces):
