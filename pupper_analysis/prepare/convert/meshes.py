@@ -325,7 +325,7 @@ class DeferredMeshes:
             if file is None:
                 continue
             try:
-                asset, content, shell = self._convert(mesh.name)
+                asset, content, shell = self._convert_mesh(mesh.name)
             except UnreadableError as error:
                 files = removed.setdefault(error.reason, [])
                 files += [] if file.name in files else [file.name]
@@ -339,7 +339,7 @@ class DeferredMeshes:
         spec.assets = assets
         return _describe_left_visuals(removed)
 
-    def _convert(self, name: str) -> tuple[str, bytes, bool]:
+    def _convert_mesh(self, name: str) -> tuple[str, bytes, bool]:
         """Convert a deferred mesh to OBJ, and test if MuJoCo accepts the mesh.
 
         Returns:
