@@ -31,8 +31,8 @@ _MAX_GRID_CELLS = 512
 `_simplify_mesh` reduces the mesh. Chosen, not tuned.
 """
 _MIN_MESH_FACES = 100
-"""Largest number of triangles of a mesh that is never simplified (`_simplify_mesh`). Chosen, not
-tuned."""
+"""Lower bound of the number of triangles that `_simplify_mesh` accepts as the aim of a reduction. A
+mesh with at most this number is not reduced. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,7 @@ def get_verdict_key(verdict: Verdict) -> str:
     """Return the word of a verdict, such as "HOLDS" or "FAILS", as a key of the text catalogue."""
     if verdict.code in UNKNOWN_CODES:
         return "UNKNOWN"
-    if _disagrees(verdict):
+    if _leaves_predicted_equilibrium(verdict):
         return "DISAGREES"
     alone = verdict.commands_alone in (None, Ending.HOLDS)
     if verdict.passed and not alone:
@@ -187,7 +187,7 @@ def split_ties(ties: Iterable[Diagnostic]) -> tuple[str, tuple[Text, ...], tuple
     )
 
 
-def _disagrees(verdict: Verdict) -> bool:
+def _leaves_predicted_equilibrium(verdict: Verdict) -> bool:
     """Return True if the verdict is that the robot stands, but not in the predicted equilibrium."""
     if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
         run = None if verdict.published is None else verdict.published.worst
