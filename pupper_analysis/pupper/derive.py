@@ -241,7 +241,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         site = spec.site(frame)
         calf = site.parent
         thigh = calf.parent
-        knee_in_calf = _normalize(calf.joints[0].axis)
+        knee_in_calf = _normalize_vector(calf.joints[0].axis)
         knee_in_thigh = _convert_quaternion(calf.quat) @ knee_in_calf
         along_thigh = _project_in_plane(np.array(calf.pos), knee_in_thigh)
         along_calf = _project_in_plane(np.array(site.pos), knee_in_calf)
@@ -257,7 +257,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     _raise_keyframes(spec, torso, before, _measure_foot_depths(spec, base.feet.values()))
 
 
-def _normalize(vector: object) -> Array:
+def _normalize_vector(vector: object) -> Array:
     """Return a vector (n,) divided by its Euclidean norm."""
     array = np.array(vector, dtype=float)
     unit: Array = array / np.linalg.norm(array)
@@ -267,13 +267,13 @@ def _normalize(vector: object) -> Array:
 def _convert_quaternion(quat: object) -> Array:
     """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalised first."""
     matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, _normalize(quat))
+    mujoco.mju_quat2Mat(matrix, _normalize_vector(quat))
     return matrix.reshape(3, 3)
 
 
 def _project_in_plane(offset: Array, normal: Array) -> Array:
     """Project a vector (3,) into the plane with a unit normal (3,), and normalise the result."""
-    return _normalize(offset - (offset @ normal) * normal)
+    return _normalize_vector(offset - (offset @ normal) * normal)
 
 
 def _stretch_body(
@@ -310,7 +310,7 @@ def _stretch_geom(
             raise ModelError(geom.meshname, diagnose("mesh-without-axis", along=axis))
         meshes[geom.meshname] = np.diag(local).copy()
     elif not math.isnan(ends[0]):
-        spans = bool(abs(_normalize(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
+        spans = bool(abs(_normalize_vector(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
         geom.fromto = np.concatenate([matrix @ ends[:3], matrix @ ends[3:]])
     elif geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
         spans = bool(abs(rotation[:, 2] @ axis) > 1 - 1e-9)
