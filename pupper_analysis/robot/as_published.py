@@ -39,7 +39,7 @@ class ServosUsed:
             caller.
         kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos if ``source`` is
             ``ADDED``, otherwise of the servos in use.
-        kd: Minimum and maximum damping (N m s/rad or N s/m) of the same servos.
+        kd: Minimum and maximum damping (N m s/rad or N s/m) of these servos.
         made: Added servos whose stiffness is in use; empty if the caller passed ``kp``.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
         damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
@@ -123,7 +123,7 @@ class JointOff:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
         The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``). The commanded
-        displacement has its direction, and is more than half as large.
+        displacement has the same direction, and is more than half as large.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
@@ -235,7 +235,7 @@ class OwnRun(BodyMotion):
         """True if a joint of a robot with a fixed base has moved far, without command.
 
         The largest displacement exceeds 0.5 rad or m (``MAX_POSTURE_DEVIATION``), and the command
-        does not explain it.
+        does not explain this displacement.
         """
         worst = None if self.standing else self.worst
         return (

@@ -162,7 +162,7 @@ class Configuration(Pictured):
         frame = self._frame_index(name)
         reference, frame_type = _check_reference(reference)
         if reference == "local_world_aligned":
-            jacobian = self._jacobian(frame)
+            jacobian = self._compute_frame_jacobian(frame)
             if offset is not None:
                 jacobian[:3] -= pin.skew(check_vector("offset", offset, 3)) @ jacobian[3:]
             return jacobian
@@ -210,7 +210,7 @@ class Configuration(Pictured):
             if reference == "local":  # the lever is constant in the axes of the link
                 lever = data.oMf[frame].rotation.T @ lever
             else:
-                turning = self._jacobian(frame)[3:]
+                turning = self._compute_frame_jacobian(frame)[3:]
                 variation[:3] -= pin.skew(np.cross(turning @ self.qvel, lever)) @ turning
             variation[:3] -= pin.skew(lever) @ variation[3:]
         return variation
@@ -264,7 +264,7 @@ class Configuration(Pictured):
             ConfigurationError: If the point is no vector of three finite numbers.
         """
         frame = self._frame_index(name)
-        jacobian = self._jacobian(frame)
+        jacobian = self._compute_frame_jacobian(frame)
         offset = check_vector("point", point, 3) - self._data.oMf[frame].translation
         result: Array = jacobian[:3] - pin.skew(offset) @ jacobian[3:]
         return result
@@ -289,7 +289,7 @@ class Configuration(Pictured):
             )
         return index
 
-    def _jacobian(self, frame: int) -> Array:
+    def _compute_frame_jacobian(self, frame: int) -> Array:
         """Return the Jacobian (6, nv) of a frame's origin in world axes; linear rows come first."""
         jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
         return self._structure.sort_columns(jacobian)
@@ -304,9 +304,11 @@ class Configuration(Pictured):
                 self.robot.check_foot(name)
             raise
 
-    def _jacobians(self, feet: Iterable[str]) -> Array:
+    def _compute_point_jacobians(self, feet: Iterable[str]) -> Array:
         """Return the Jacobians (n, 6, nv) of n contact points in world axes; linear rows first."""
-        jacobians = np.array([self._jacobian(frame) for frame in self._foot_frames(feet)])
+        jacobians = np.array(
+            [self._compute_frame_jacobian(frame) for frame in self._foot_frames(feet)]
+        )
         return jacobians.reshape(-1, 6, self._structure.nv)
 
     def joint_position(self, name: str) -> Array:
@@ -364,7 +366,10 @@ class Configuration(Pictured):
 
         J qvel is the velocity of the sphere centre [m/s], in world axes.
         """
-        return {foot: self._jacobian(frame)[:3] for foot, frame in self._structure.feet.items()}
+        return {
+            foot: self._compute_frame_jacobian(frame)[:3]
+            for foot, frame in self._structure.feet.items()
+        }
 
     def foot_rotations(self, feet: Iterable[str]) -> Array:
         """Return the rotations (n, 3, 3) from the frames of n contact points to the world axes.
@@ -392,7 +397,7 @@ class Configuration(Pictured):
             ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
-        return self._jacobians(feet)
+        return self._compute_point_jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
         """Return the lowest point of the sphere of each contact point, in the world frame.
@@ -427,7 +432,7 @@ class Configuration(Pictured):
             ConfigurationError: If ``feet`` is a text, bytes or no iterable.
             UnknownNameError: If there is no such contact point.
         """
-        jacobians = self._jacobians(feet)
+        jacobians = self._compute_point_jacobians(feet)
         result: Array = jacobians[:, :3] - cross_matrices(offsets) @ jacobians[:, 3:]
         return result
 
@@ -625,7 +630,7 @@ class Configuration(Pictured):
         check_type("wrenches", wrenches, Mapping[str, object])
         rows = [check_vector(f"wrenches[{point}]", row, 6) for point, row in wrenches.items()]
         pushes = np.array(rows).reshape(-1, 6)
-        return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
+        return self.loaded_points_derivative(self._compute_point_jacobians(wrenches), pushes)
 
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
         """Return the derivative of the static load minus constant wrenches on points of links.
@@ -713,7 +718,7 @@ class Configuration(Pictured):
         regressor = pin.computeJointTorqueRegressor(
             self._model, workspace.data, self._q, self._v, acceleration
         )
-        blocks = np.reshape(regressor, (self.robot.nv, -1, 10))[:, self._bodies() - 1]
+        blocks = np.reshape(regressor, (self.robot.nv, -1, 10))[:, self._list_moving_bodies() - 1]
         rows = [
             self._structure.to_qvel_order(column) for column in blocks.reshape(self.robot.nv, -1).T
         ]
@@ -728,10 +733,12 @@ class Configuration(Pictured):
         the body.
         """
         inertias = self._model.inertias
-        parameters = [inertias[int(body)].toDynamicParameters() for body in self._bodies()]
+        parameters = [
+            inertias[int(body)].toDynamicParameters() for body in self._list_moving_bodies()
+        ]
         return np.array(parameters, dtype=float).reshape(-1)
 
-    def _bodies(self) -> IntArray:
+    def _list_moving_bodies(self) -> IntArray:
         """Return Pinocchio's joint indices of the moving bodies, shape (n,), in public order."""
         base = [2] if self._structure.floating else []  # translation 1, then rotation 2
         return np.array([*base, *self._structure.joints.values()], dtype=np.int64)

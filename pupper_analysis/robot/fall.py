@@ -363,7 +363,7 @@ def initial_height(
                 clearance += distance if clearance == 0.0 else 0.0
                 return InitialHeight(com, clearance, height)
             clearance += distance
-            _lower(model, trial, distance)
+            _lower_geometry(model, trial, distance)
     return InitialHeight(com, 0.0, ground)
 
 
@@ -379,7 +379,7 @@ def _override_margin(model: mujoco.MjModel, margin: float) -> Iterator[None]:
         model.opt.enableflags, model.opt.o_margin = flags, previous
 
 
-def _lower(model: mujoco.MjModel, data: mujoco.MjData, distance: float) -> None:
+def _lower_geometry(model: mujoco.MjModel, data: mujoco.MjData, distance: float) -> None:
     """Move the evaluated positions of all moving bodies and geoms downward by a distance [m]."""
     moving = model.body_weldid != 0
     for positions in (data.xpos, data.xipos, data.geom_xpos):
@@ -403,7 +403,7 @@ def find_bodies_near_world(
         lowered: Distance by which the bodies are moved downward before [m].
     """
     placed = _copy_with_kinematics(model, data)
-    _lower(model, placed, lowered)
+    _lower_geometry(model, placed, lowered)
     with _override_margin(model, margin):
         mujoco.mj_collision(model, placed)
         return find_touching_bodies(model, placed)
