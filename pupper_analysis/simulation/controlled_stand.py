@@ -190,7 +190,7 @@ class ControlledStand:
         self._places = conv.qpos_index[-held.robot.nu :][self._driven]
         self._torques = held.prediction.joint_torques[self._driven]
         self._start = self._make_start()
-        self._first, self._late, self._prompt = self._linearise()
+        self._first, self._late, self._prompt = self._linearise_period()
 
     def _make_start(self) -> mujoco.MjData:
         """Return the simulation state of the stand at rest; controls are the holding torques."""
@@ -203,7 +203,7 @@ class ControlledStand:
         mujoco.mj_forward(self.model, data)
         return data
 
-    def _linearise(self) -> tuple[Array, Array, Array]:
+    def _linearise_period(self) -> tuple[Array, Array, Array]:
         """Linearise the motion in one control period: x' = F x + L u_late + P u_prompt.
 
         x and x' are the deviations of (qpos, qvel, act) from the stand before and after the period.
@@ -327,8 +327,8 @@ class ControlledStand:
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
         """Return the transition matrix (n, n) of the closed loop over one control period.
 
-        The states are the deviations of `_linearise`, then previous commands [N m], the latest
-        first.
+        The states are the deviations of `_linearise_period`, then previous commands [N m], the
+        latest first.
         """
         nv, count = self.model.nv, len(self._driven)
         feedback = np.zeros((count, len(self._first)))

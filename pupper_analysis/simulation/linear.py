@@ -62,7 +62,9 @@ class LinearStep:
             Displacements, shape (n, 2 nv + na), in the tangent space: positions [m, rad],
             velocities [m/s, rad/s], activations. Values may be infinite or NaN if a mode grows.
         """
-        return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
+        return self._predict_displacements(
+            before, state, math.ceil(duration / (self._stride * self._timestep))
+        )
 
     def reproduces(self, states: Array) -> bool:
         """Return True if this linear model predicts simulated positions from the first two states.
@@ -74,14 +76,14 @@ class LinearStep:
         count, nv = (len(states) - 2) // self._stride, self._model.nv
         if count < 1:
             return False
-        predicted = self._predict(states[0], states[1], count)[:, :nv]
+        predicted = self._predict_displacements(states[0], states[1], count)[:, :nv]
         later = states[1 + self._stride :: self._stride][:count]
         simulated = np.array([self.subtract(states[1], state)[:nv] for state in later])
         most = float(np.abs(simulated).max(initial=0.0))
         error = float(np.abs(predicted - simulated).max(initial=0.0))
         return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
 
-    def _predict(self, before: Array, state: Array, count: int) -> Array:
+    def _predict_displacements(self, before: Array, state: Array, count: int) -> Array:
         """Predict displacements from ``state`` at ``count`` sample times, (count, 2 nv + na).
 
         ``before`` is the state one step before ``state``.

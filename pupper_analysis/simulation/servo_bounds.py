@@ -287,9 +287,9 @@ def find_soft_servos(
 ) -> SoftServos | None:
     """Find the servos whose low gains alone make a stand with feed-forward fail.
 
-    The failures of ``run`` name the joints of unstable modes. The gains of the classes of these
-    joints (corresponding joints of similar limbs, with equal gains), at most three, are multiplied
-    by `_SINGLE_FACTORS`, until the robot stands.
+    The failures of ``run`` contain the joints of unstable modes. A class consists of corresponding
+    joints of similar limbs, with equal gains. The gains of at most three classes with such joints
+    are multiplied by increasing factors until the robot stands: class by class, then all together.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -299,8 +299,8 @@ def find_soft_servos(
         kd: Present damping [N m s/rad, N s/m], scalar or shape (nu,); default: the model's.
 
     Returns:
-        Servos of a class, or of all simulated classes, with which the robot stands. None, for
-        example, if the robot stands with no tried factor.
+        Servos of a class, or of all tried classes, with the first factor with which the robot
+        stands. None, for example, if the robot stands with no tried factor.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot,

@@ -340,7 +340,7 @@ def verify_stand(
 
     def rests(states: Array) -> bool:
         """Return True if the robot stands still in the states (n, size) of a second."""
-        return _rests(robot, reference, states, timestep)
+        return _is_at_rest(robot, reference, states, timestep)
 
     run = settle_and_nudge(
         drive,
@@ -852,8 +852,10 @@ def _measure_height_motion(robot: Robot, states: Array, timestep: float) -> tupl
     return float(heights.std()), float(heights[-1] - heights[0]) / duration
 
 
-def _rests(robot: Robot, reference: monitor.StandReference, states: Array, timestep: float) -> bool:
-    """Return True if a robot has not collapsed, and its height is at rest in the last second."""
+def _is_at_rest(
+    robot: Robot, reference: monitor.StandReference, states: Array, timestep: float
+) -> bool:
+    """Return True if a robot's height is at rest in the last second, and it has not collapsed."""
     deviation, drift = _measure_height_motion(robot, states, timestep)
     is_still = deviation < STABLE_DEVIATION and abs(drift) < SETTLED_DRIFT
     return is_still and not reference.has_collapsed(states[-1])
