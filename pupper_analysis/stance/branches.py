@@ -349,7 +349,7 @@ class _Descent:
         foot_targets = self._foot_targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
         low, high = self._lower[self._joints], self._upper[self._joints]
         joints = np.clip(starts[:, self._joints], low, high)
-        errors, jacobians = self._evaluate(joints, foot_targets)
+        errors, jacobians = self._evaluate_position_errors(joints, foot_targets)
         damping = np.full((len(joints), len(self._limbs)), _INITIAL_DAMPING)
         active = np.arange(len(joints))
         for _ in range(iterations):
@@ -360,7 +360,7 @@ class _Descent:
             active, now, tried, error = active[moving], now[moving], tried[moving], error[moving]
             if not len(active):
                 break
-            new_error, new_jacobian = self._evaluate(tried, foot_targets[active])
+            new_error, new_jacobian = self._evaluate_position_errors(tried, foot_targets[active])
             better = self._squared_errors(new_error) < self._squared_errors(error)  # (k, limbs)
             feet = better[:, self._feet, None]
             joints[active] = np.where(better[:, self._limb], tried, now)
@@ -409,7 +409,7 @@ class _Descent:
         step: Array = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[..., None])[..., 0]
         return step
 
-    def _evaluate(self, joints: Array, foot_targets: Array) -> tuple[Array, Array]:
+    def _evaluate_position_errors(self, joints: Array, foot_targets: Array) -> tuple[Array, Array]:
         """Compute position errors of f contact points in k configurations, and their derivatives.
 
         Returns:

@@ -1,8 +1,8 @@
 """Contacts of a stand that a whole-body posture keeps, and the stand of such a posture.
 
 `keep_contacts` lists the tasks that keep the contact points, welds and grips of a stand in place.
-`make_posture_stand` describes a solved posture as a stand on the same contacts, so that statics and
-simulations of stands apply to the posture.
+`make_posture_stand` converts a solved posture to a stand on the same contacts. Functions for stands
+can then compute statics and simulations of the posture.
 """
 
 from __future__ import annotations

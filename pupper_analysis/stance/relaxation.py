@@ -240,11 +240,11 @@ class _RelaxationSearch:
             for requirement in RELAXABLE_REQUIREMENTS
             if differs_from_nominal(robot, task, [requirement])
         ]
-        alone = [self._verify(self._relax_one(requirement)) for requirement in differing]
+        alone = [self._solve_rounded(self._relax_one(requirement)) for requirement in differing]
         if stated := [relaxation for relaxation in alone if relaxation is not None]:
             return stated
         least = self._find_smallest(differing, self.starts)
-        fewest = self._verify(self._reduce_requirements(least)) or self._verify(least)
+        fewest = self._solve_rounded(self._reduce_requirements(least)) or self._solve_rounded(least)
         return [] if fewest is None else [fewest]
 
     def _find_smallest(
@@ -313,7 +313,7 @@ class _RelaxationSearch:
                 relaxation = self._find_smallest(rest, (relaxation.qpos,)) or relaxation
         return relaxation
 
-    def _verify(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
+    def _solve_rounded(self, relaxation: Relaxation | None) -> _StatedRelaxation | None:
         """Round a relaxation, increase it if necessary, and solve its stand; None on failure."""
         if relaxation is None:
             return None

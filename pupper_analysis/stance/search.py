@@ -223,7 +223,7 @@ class _StandSearch:
         """
         robot, targets = self.robot, self.targets
         for _ in range(_BRANCH_ROUNDS):
-            nearest = self._nearest()
+            nearest = self._get_nearest_result()
             self.found = find_branches(
                 robot, nearest.qpos, targets.foot_targets, targets.lower, targets.upper
             )
@@ -236,7 +236,7 @@ class _StandSearch:
             if found is not None:
                 return found
             # With a much smaller error, legs may have additional branches.
-            if self.reached or self._nearest().foot_error > nearest.foot_error / 2:
+            if self.reached or self._get_nearest_result().foot_error > nearest.foot_error / 2:
                 break
         return None
 
@@ -314,9 +314,9 @@ class _StandSearch:
             self.closest = closest
         if closest.foot_error >= NEAR_MISS:
             return None
-        return self.solve_program(programme, closest.qpos) or self._refine(closest.qpos)
+        return self.solve_program(programme, closest.qpos) or self._remove_foot_errors(closest.qpos)
 
-    def _nearest(self) -> SolverResult:
+    def _get_nearest_result(self) -> SolverResult:
         """Return the IK result of this search with the smallest foot error."""
         return min(self.points, key=lambda point: point.foot_error)
 
@@ -333,7 +333,7 @@ class _StandSearch:
             targets = relax_foot_orientation(self.robot, targets, point)
         if point.foot_error >= 2 * TASK_TOLERANCE and targets is self.targets:
             return None
-        stand = self._evaluate(point, targets)
+        stand = self._make_stand(point, targets)
         if targets is not self.targets:
             stand = flatten_soles(self.context, self.targets, stand)
         self.reached.append(stand)
@@ -347,16 +347,16 @@ class _StandSearch:
             failure.
         """
         found = programme.solve(qpos)
-        return None if found.violation > NEAR_MISS else self._refine(found.qpos)
+        return None if found.violation > NEAR_MISS else self._remove_foot_errors(found.qpos)
 
-    def _refine(self, qpos: Array) -> Stand | None:
+    def _remove_foot_errors(self, qpos: Array) -> Stand | None:
         """Remove the foot errors of a configuration (nq,) by IK; return the stand or None."""
         targets = self.targets
         if targets.com_is_free:
             targets = replace(targets, place=Configuration(self.robot, qpos).center_of_mass()[:2])
         point = self.context.solver.solve_from_configuration(targets, qpos)
         self.iterations += point.iterations
-        stand = self._evaluate(point, relax_foot_orientation(self.robot, targets, point))
+        stand = self._make_stand(point, relax_foot_orientation(self.robot, targets, point))
         if stand.foot_error >= TASK_TOLERANCE:
             return None
         self.reached.append(stand)
@@ -366,9 +366,9 @@ class _StandSearch:
         """Return the best stand of the search so far, which may violate the targets."""
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
-        return self.closest or self._evaluate(self._nearest())
+        return self.closest or self._make_stand(self._get_nearest_result())
 
-    def _evaluate(self, point: SolverResult, targets: StandTargets | None = None) -> Stand:
+    def _make_stand(self, point: SolverResult, targets: StandTargets | None = None) -> Stand:
         """Create the `Stand` of an IK result, with errors for ``targets`` (default: own)."""
         return evaluate_stand(self.shapes, targets or self.targets, point.qpos, self.iterations)
 

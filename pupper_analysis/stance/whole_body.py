@@ -487,10 +487,10 @@ class _PostureSolver:
         wrapper.state.q = np.concatenate([base, convention.q(qpos)])
         wrapper.update_kinematics()
         for stage in self._stages:
-            start, error = np.array(wrapper.state.q), self._evaluate(stage)
+            start, error = np.array(wrapper.state.q), self._evaluate_stage(stage)
             if not self._take_full_steps(stage):
                 # Full steps converge slowly if errors of preferred tasks remain.
-                if stage is self._stages[-1] or self._evaluate(stage) > error:
+                if stage is self._stages[-1] or self._evaluate_stage(stage) > error:
                     wrapper.state.q = start
                     wrapper.update_kinematics()
                 self._iterate_trust_region(stage)
@@ -502,7 +502,7 @@ class _PostureSolver:
         Contacts are nonlinear constraints with a large weight. A trust-region iteration would
         therefore need many short steps.
         """
-        initial_error = self._evaluate(stage)
+        initial_error = self._evaluate_stage(stage)
         stage.solver.dt = _MAX_STEP
         for _ in range(_MAX_FULL_STEPS):
             self.iterations += 1
@@ -511,7 +511,7 @@ class _PostureSolver:
             except RuntimeError:  # no solution of the quadratic program
                 return False
             self._placo_robot.wrapper.update_kinematics()
-            error = self._evaluate(stage)
+            error = self._evaluate_stage(stage)
             if error < _ROUNDING_ERROR or float(np.linalg.norm(step)) < _NEGLIGIBLE_STEP:
                 return error <= initial_error
         return False
@@ -519,7 +519,7 @@ class _PostureSolver:
     def _iterate_trust_region(self, stage: _Stage) -> None:
         """Take Gauss-Newton steps within a trust radius that do not increase the error."""
         wrapper, radius = self._placo_robot.wrapper, _MAX_STEP
-        error = self._evaluate(stage)
+        error = self._evaluate_stage(stage)
         for _ in range(_MAX_ITERATIONS):
             if error < _ROUNDING_ERROR:
                 return
@@ -531,11 +531,11 @@ class _PostureSolver:
             except RuntimeError:  # no solution of the quadratic program
                 return
             wrapper.update_kinematics()
-            previous, error = error, self._evaluate(stage)
+            previous, error = error, self._evaluate_stage(stage)
             if error > previous:
                 wrapper.state.q = before
                 wrapper.update_kinematics()
-                error = self._evaluate(stage)
+                error = self._evaluate_stage(stage)
                 if float(np.linalg.norm(step)) < _ROUNDING_STEP:
                     return
                 radius /= RADIUS_REDUCTION
@@ -546,7 +546,7 @@ class _PostureSolver:
             if radius < _NEGLIGIBLE_STEP:
                 return
 
-    def _evaluate(self, stage: _Stage) -> float:
+    def _evaluate_stage(self, stage: _Stage) -> float:
         """Return the weighted sum of squared residuals [m^2, rad^2] at PlaCo's configuration."""
         if any(task.update_target for _, task in stage.tasks):
             body = _PinocchioBody(self._robot, self._current_qpos(), self._collision)

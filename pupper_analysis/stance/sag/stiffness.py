@@ -376,7 +376,7 @@ class _StiffnessSearch:
             return self.follow(value)
         if value in self._poses or value in self._durations:
             return True
-        solution = self._continue(self._path, value)
+        solution = self._follow_path(self._path, value)
         if solution is None:
             self.lost.add(value)
             return False
@@ -394,13 +394,16 @@ class _StiffnessSearch:
         return True
 
     def _set_stiffness(self, path: HomotopyPath, value: float, solution: Solution) -> None:
-        """Set kp = ``value`` [N m/rad] times ratios; restart the path at ``solution``."""
+        """Set the positive kp to ``value`` [N m/rad] times ratios; restart at ``solution``.
+
+        The creep is reset, and the feed-forward torques are removed.
+        """
         path.reset_creep(self._anchors)
         path.system.kp = np.where(path.system.kp > 0, value * self._ratios, 0.0)
         path.solution = solution
         path.remove_feedforward()
 
-    def _continue(self, path: HomotopyPath, value: float) -> Solution | None:
+    def _follow_path(self, path: HomotopyPath, value: float) -> Solution | None:
         """Find the stable equilibrium with kp = ``value`` [N m/rad] from a known equilibrium.
 
         The touching contacts stay unchanged. None if steps of ln(kp) become shorter than
