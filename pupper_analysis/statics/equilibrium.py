@@ -675,8 +675,8 @@ def _read_weld_wrenches(carrying: Contacts, solution: Array) -> Mapping[str, Arr
 
 _UNLIMITED_FRICTION = 1e4
 """Friction coefficient with which a contact practically cannot slide, and factor on grip limits
-with which a grip practically cannot fail. The search for the smallest sufficient value
-(`_find_threshold`) ends at this value. Chosen, not tuned."""
+with which a grip practically cannot fail. Upper bound of the search for the smallest sufficient
+value (`_find_threshold`). Chosen, not tuned."""
 
 
 def explain_infeasibility(
