@@ -110,8 +110,8 @@ def _list_single_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
 def _find_repaired_element(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
     """Return the element that a repair changes; None if no or several elements fit the repair."""
     named = _list_owners(document, repair)
-    found = [element for element in named if _descend(element, repair.child) is not None]
-    return _descend(found[0], repair.child) if len(found) == 1 else None
+    found = [element for element in named if _find_descendant(element, repair.child) is not None]
+    return _find_descendant(found[0], repair.child) if len(found) == 1 else None
 
 
 def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]:
@@ -140,7 +140,7 @@ def _ensure_element(document: XmlDocument, repair: ValueRepair) -> XmlElement:
     return element
 
 
-def _descend(element: XmlElement, path: str) -> XmlElement | None:
+def _find_descendant(element: XmlElement, path: str) -> XmlElement | None:
     """Return the element at a path of tags below an element; None if a tag is missing.
 
     A number from 1 in brackets selects one of several children: ``visual[2]/geometry/mesh``.

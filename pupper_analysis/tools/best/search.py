@@ -238,7 +238,11 @@ class StanceSearch:
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield stances to try after the best stance: worse allowed stances, then the initial."""
+        """Yield alternatives to the best stance by ascending objective; the initial stance is last.
+
+        The alternatives are allowed, and better than the initial stance. An alternative is skipped
+        if its objective nearly equals that of the stance before (`_MIN_OBJECTIVE_STEP`).
+        """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_OBJECTIVE_STEP * (self.nominal.scaled_objective - self.best.scaled_objective)
         scaled_objective = self.best.scaled_objective
@@ -480,7 +484,7 @@ class _Descent:
         )
         return self.best
 
-    def _evaluate(self, scaled: Array, near: Stand | None = None) -> EvaluatedStance | None:
+    def _evaluate_scaled(self, scaled: Array, near: Stand | None = None) -> EvaluatedStance | None:
         """Evaluate the stance with scaled coordinates ``scaled`` (`StanceSearch.evaluate`)."""
         return self._search.evaluate(self._subspace.compute_coordinates(scaled), near)
 
@@ -489,7 +493,7 @@ class _Descent:
 
         Without a stance, the rows are those of the first stance with violated constraints.
         """
-        stance = self._evaluate(scaled)
+        stance = self._evaluate_scaled(scaled)
         if stance is None:
             return self._missing
         if stance.allowed and stance.scaled_objective < self.best[0]:
@@ -503,7 +507,7 @@ class _Descent:
         order.
         """
         scaled = values[:-1]
-        rows, stance = self._evaluate_rows(scaled), self._evaluate(scaled)
+        rows, stance = self._evaluate_rows(scaled), self._evaluate_scaled(scaled)
         exact = None if stance is None else self._search.differentiate_rows(stance)
         if exact is not None:
             rates = exact @ (self._subspace.directions * self._subspace.width)
@@ -520,15 +524,16 @@ class _Descent:
     ) -> Array:
         """Return the one-sided difference quotient of the constraints a + b t, shape (k,).
 
-        ``values`` contains the scaled coordinates, then t; ``index`` is that of the varied
-        coordinate. Zeros if no stance exists at the steps.
+        ``values`` contains the scaled coordinates, then t; ``rows`` (k, 2) are (a, b) at these
+        coordinates. ``index`` is the index of the varied coordinate. Zeros if no stance exists at
+        the steps.
         """
         scaled, scaled_objective = values[:-1], values[-1]
         forward = scaled[index] + _DIFFERENCE_STEP <= 1
         for length in (1, -1) if forward else (-1, 1):
             step = np.zeros(len(scaled))
             step[index] = length * _DIFFERENCE_STEP
-            ahead = self._evaluate(scaled + step, near)
+            ahead = self._evaluate_scaled(scaled + step, near)
             if ahead is not None:
                 quotient: Array = ((ahead.rows - rows) @ (1.0, scaled_objective)) / step[index]
                 return quotient

@@ -37,8 +37,9 @@ def stand_poses(
 ) -> tuple[tuple[DefaultPoseStand, ...], list[Diagnostic]]:
     """Compute the stands of the robot in the default poses that sources state.
 
-    If a source states all gains, the stand is also simulated in MuJoCo. Without default angles of
-    half of the joints, a source is skipped.
+    If a source states all gains, the stand is also simulated in MuJoCo. A source is skipped if it
+    states default angles of less than half of the joints. Joints without a default angle are at the
+    start pose of the robot.
 
     Args:
         models: Files of the robot, at most one of a format.
@@ -71,9 +72,9 @@ def stand_poses(
     if not robot.floating or not robot.feet:
         return (), []
     limits = [
-        each
+        efforts
         for placed_source in placed
-        if (each := _get_stated_values(placed_source, "effort", robot))
+        if (efforts := _get_stated_values(placed_source, "effort", robot))
     ]
     limits.append(robot.effort_limits.tolist())
     poses_by_key: dict[str, DefaultPoseStand] = {}
@@ -117,7 +118,7 @@ def _stand_in_pose(
 
     ``angles`` is {joint: default angle [rad]}. With the gains ``kp`` [N m/rad, N/m] and ``kd`` [N m
     s/rad, N s/m], shape (nu,), the stand is also simulated. ``efforts`` are limits, shape (nu,) [N
-    m, N].
+    m, N]. An error of this package becomes the ``problem`` of the result.
     """
     home_angles = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
     pose = np.array([angles.get(joint, home_angles[joint]) for joint in robot.joint_names])
@@ -137,9 +138,8 @@ def _stand_in_pose(
         stand = solve_stand(posed)
         simulated_stand = solve_stand_as_simulated(posed, stand)
         torques = np.abs(stand_statics(posed, simulated_stand).joint_torques)
-        utilisation = (
-            float(np.max(torques / np.array(efforts))) or None
-        )  # infinite limits give 0, reported as None
+        # Infinite limits give the utilisation 0, which is reported as None.
+        utilisation = float(np.max(torques / np.array(efforts))) or None
         result = replace(result, utilisation=utilisation)
         if kp is not None and kd is not None:  # gains of the model are not gains of this source
             verdict = judge_stand(posed, stand, kp=kp, kd=kd)

@@ -68,7 +68,10 @@ def _check_orders(sources: Sequence[JointSource]) -> None:
 
 
 def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
-    """Return the sources with names that differ by file: parent folders precede equal names."""
+    """Add parent folders to the names of sources, until sources of different files differ in name.
+
+    A name that is unique among the files remains unchanged.
+    """
     renamed = []
     for source in read:
         own_parts = source.path.absolute().parts

@@ -178,9 +178,9 @@ def _format_added_gains(conversion: Conversion) -> dict[str, doc.Words | str]:
 
 
 MAX_REST_FRACTION = 0.01
-"""Largest remaining speed (`Nudge.left`), divided by the speed of the nudge (disturbance at the
-start) [1], at which the robot counts as at rest, even if the linear model has a slowly decaying
-mode: dry friction stops the motion. Chosen, not tuned.
+"""Largest remaining speed (`Nudge.left`) at which the robot counts as at rest, divided by the speed
+of the nudge (disturbance at the start) [1]. Dry friction can stop the motion even if the linear
+model has a slowly decaying mode. Chosen, not tuned.
 """
 
 

@@ -819,19 +819,21 @@ class SimulatedPair:
 
     @staticmethod
     def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
-        """Compile two MJCFs for simulation, with the same added ground if necessary."""
+        """Compile two MJCFs for simulation; add the same ground to both if neither has a ground.
+
+        The ground is added only if both models have a free joint.
+        """
         models = old.model, new.model
-        stand = all(
+        need_floor = all(
             has_free_joint(model) and not _find_static_geoms(model).any() for model in models
         )
-        if not stand:
+        if not need_floor:
             return SimulatedPair(old.model, new.model, has_added_floor=False)
         height = min(map(_choose_ground_height, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
-        floors[1].conaffinity = floors[
-            0
-        ].conaffinity  # same ground in both, which the feet of the old file touch
+        # The feet of the old file touch the ground of both models.
+        floors[1].conaffinity = floors[0].conaffinity
         before, after = (
             compile_spec(tree.spec, file.path) for tree, file in zip(trees, (old, new), strict=True)
         )

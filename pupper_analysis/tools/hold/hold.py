@@ -451,7 +451,8 @@ class Hold(Tabular):
             even for a short time.
         mass_by_commands_alone: Largest mass at the tool, in addition to ``carried``, with which the
             posture holds in simulation with position commands alone, without feed-forward torques
-            [kg]. Not a number if not computed, or if the posture holds with ``largest_mass``.
+            [kg]. NaN if not requested, or if the posture holds with ``largest_mass`` without
+            feed-forward, for example.
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "weak_motors")
@@ -503,9 +504,9 @@ class Hold(Tabular):
 
     @property
     def largest_mass_here(self) -> float:
-        """Largest further mass at the tool that motors and servos hold in this posture [kg].
+        """Largest further mass at the tool in this posture [kg]: ``simulated_mass`` if known.
 
-        This mass holds in simulation, if simulated. NaN if unknown.
+        Otherwise ``payload.mass``, which considers the motors but not the servos. NaN if unknown.
         """
         simulated = self.simulated_mass
         return self.payload.mass if math.isnan(simulated) else simulated
@@ -589,7 +590,7 @@ def hold_posture(
     if (violated := _describe_violated_keyframe(robot, posture)) is not None:
         judged = replace(fed, passed=False, failures=(violated, *fed.failures))
     verdict = judge_simulation(robot, stand, judged, alone, statics=statics, kp=kp, kd=kd)
-    hangs = _hangs(robot)
+    hangs = _is_base_free(robot)
     verdict = replace(verdict, servos=replace(verdict.servos, hangs=hangs))
     mass_alone = math.nan
     if commands_alone and verdict.passed and verdict.commands_alone is Ending.HOLDS:
@@ -670,7 +671,7 @@ def _describe_violated_keyframe(robot: Robot, posture: Posture) -> Diagnostic | 
     return None
 
 
-def _hangs(robot: Robot) -> bool:
+def _is_base_free(robot: Robot) -> bool:
     """Return True if the base is free in the MJCF; without MJCF, by default (`has_limbs`)."""
     description = robot.description
     if description.converted == "mjcf":

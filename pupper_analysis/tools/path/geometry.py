@@ -429,7 +429,7 @@ def path_geometry(
             )
             raise ConfigurationError("stances", message)
         ik_seed = stand.joint_positions(robot)
-        tangent, curvature = _differentiate(robot, segment, share, stand.qpos, rolling=rolling)
+        tangent, curvature = _differentiate_path(robot, segment, share, stand.qpos, rolling=rolling)
         places.append(PathPlace(segment, number, progress, share, stand, tangent, curvature))
     return Geometry(solved, segments, places, per_segment, seconds)
 
@@ -510,7 +510,7 @@ class _RollingFeet:
         raise NoEquilibriumError(None, problem)
 
 
-def _differentiate(
+def _differentiate_path(
     robot: Robot, segment: Segment, share: float, qpos: Array, *, rolling: bool
 ) -> tuple[Array, Array]:
     """Compute the derivatives dq/ds and d2q/ds2 of a path's configuration, shape (nv,) each.

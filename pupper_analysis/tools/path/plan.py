@@ -47,9 +47,9 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Weight [1] of the solution with fewer loaded feet, up to which the weight counts as 0
-(`compute_path_sample`). With such a weight, the zero-moment point may be close to the edge of the
-support polygon. Chosen, not tuned.
+"""Largest weight [1] at which `compute_path_sample` omits the solution with fewer loaded feet. With
+such a weight, the zero-moment point may be close to the edge of the support polygon. Chosen, not
+tuned.
 """
 
 

@@ -316,7 +316,10 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
 
 
 def payload_table(limit: PayloadLimit) -> doc.Table:
-    """Create the table of payload bounds [kg], smallest first, with the failure above each."""
+    """Create the table of payload bounds [kg], smallest first, and of the failure above a bound.
+
+    The bound of the simulation is omitted if it is infinite or NaN.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (text(_BOUND_KEYS[name]), mass_text(bound.mass), _describe_bound_failure(bound))
         for name, bound in limit.bounds.items()

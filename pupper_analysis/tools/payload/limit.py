@@ -546,7 +546,7 @@ class _PayloadSimulations:
         return self._runs_alone[min(larger)].failures if larger else ()
 
     def holds(self, mass: float) -> bool:
-        """Return True if a stand with a payload [kg] exists, and holds in simulation."""
+        """Return True if a stand with a payload [kg] exists, and holds with feed-forward."""
         try:
             return _holds_in_simulation(self.judge_with_feedforward(mass))
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):

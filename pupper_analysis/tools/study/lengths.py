@@ -113,12 +113,12 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
         end = config.frame_position(robot.contact_frames[feet[0]])
     axis_element = end_joint.element.find("axis")
     axis = parse_numbers(None if axis_element is None else axis_element.get("xyz"), "1 0 0")
-    normal = end_frame.rotation @ _normalise(axis)
+    normal = end_frame.rotation @ _normalize_vector(axis)
     offset = end - link_pose.translation
     offset = offset - normal * (normal @ offset)
     if np.linalg.norm(offset) < _MIN_LINK_LENGTH:
         raise ConfigurationError(name, diagnose("link-without-length", link=link))
-    return Stretch(np.array(link_pose.translation), _normalise(offset), factor)
+    return Stretch(np.array(link_pose.translation), _normalize_vector(offset), factor)
 
 
 def _link_pose(config: Configuration, link: str) -> pin.SE3:
@@ -126,7 +126,7 @@ def _link_pose(config: Configuration, link: str) -> pin.SE3:
     return pin.SE3(config.frame_rotation(link), config.frame_position(link))
 
 
-def _normalise(vector: Array) -> Array:
+def _normalize_vector(vector: Array) -> Array:
     """Scale a vector to unit norm."""
     normalised: Array = np.array(vector) / np.linalg.norm(vector)
     return normalised
@@ -325,7 +325,7 @@ def _stretch_geom(
         geom.fromto = np.concatenate([matrix @ end + shift for end in (ends[:3], ends[3:])])
         return
     rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, _normalise(geom.quat))
+    mujoco.mju_quat2Mat(rotation, _normalize_vector(geom.quat))
     factors = _find_axis_factors(matrix, rotation.reshape(3, 3))
     geom_types = mujoco.mjtGeom
     if geom.type == geom_types.mjGEOM_MESH:

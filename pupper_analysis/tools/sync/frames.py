@@ -128,10 +128,11 @@ class MatchedRobots:
     def list_equal_inertias(
         self, taken: Collection[PropertyKey], tolerances: Tolerances
     ) -> list[PropertyKey]:
-        """List ("inertia", body) of bodies whose mass and CoM are taken, with equal inertias.
+        """List ("inertia", body) of bodies with equal inertias whose mass and CoM are in ``taken``.
 
-        Inertias within the tolerance count as equal. With the inertia, the body becomes that of the
-        other file; the inertial of a link with fixed links may then need fewer changes.
+        ``taken`` are the values that are copied from the other file. Inertias within the tolerance
+        count as equal. If the inertia is copied as well, a link with fixed links may need fewer
+        changes.
         """
         bodies = [name for kind, name in taken if kind == "mass" and ("com", name) in taken]
         return [

@@ -60,7 +60,7 @@ class _PrimCounter:
             self._counts[key] = 0
             spec = layer.GetPrimAtPath(path)
             own = 0 if spec is None else self._count_spec(layer, spec)
-            sublayers = [self._open(layer, name) for name in layer.subLayerPaths]
+            sublayers = [self._open_layer(layer, name) for name in layer.subLayerPaths]
             self._counts[key] = own + sum(
                 self.count(sublayer, path) for sublayer in sublayers if sublayer is not None
             )
@@ -81,14 +81,14 @@ class _PrimCounter:
         )
         arcs = (*_list_added(spec.referenceList), *_list_added(spec.payloadList))
         for arc in arcs:
-            target = self._open(layer, arc.assetPath) if arc.assetPath else layer
+            target = self._open_layer(layer, arc.assetPath) if arc.assetPath else layer
             name = "" if target is None else str(arc.primPath) or target.defaultPrim
             if name:
                 total += self.count(target, Sdf.Path.absoluteRootPath.AppendPath(name.lstrip("/")))
         inherited = (*_list_added(spec.inheritPathList), *_list_added(spec.specializesList))
         return total + sum(self.count(layer, path) for path in inherited)
 
-    def _open(self, layer: Any, name: str) -> Any:
+    def _open_layer(self, layer: Any, name: str) -> Any:
         """Open the USD layer to which another layer refers; None if USD cannot open the layer."""
         from pxr import Sdf, Tf
 

@@ -135,7 +135,7 @@ def softplus(value: Array) -> Array:
     return np.logaddexp(0.0, value)
 
 
-def _erf(value: Array) -> Array:
+def _compute_erf(value: Array) -> Array:
     """Return the error function of each element of an array."""
     from scipy.special import erf
 
@@ -147,7 +147,7 @@ def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
     """Create the ONNX operation Gelu (Hendrycks and Gimpel, 2016), exact or by tanh."""
     if attributes.get("approximate") == "tanh":
         return lambda x: 0.5 * x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3)))
-    return lambda x: 0.5 * x * (1 + _erf(x / np.sqrt(2)))
+    return lambda x: 0.5 * x * (1 + _compute_erf(x / np.sqrt(2)))
 
 
 def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
@@ -344,13 +344,13 @@ def _multiply_matrices(first: Array, second: Array) -> Any:
     return np.matmul(first, second)
 
 
-def _expand(value: Array, sizes: Array) -> Array:
+def _expand_array(value: Array, sizes: Array) -> Array:
     """Broadcast an array to the common shape of the array and ``sizes`` (ONNX operator Expand)."""
     shape: Sequence[int] = np.ravel(sizes).astype(int).tolist()
     return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), tuple(shape)))
 
 
-def _fold(function: Callable[..., Any]) -> Operation:
+def _fold_operation(function: Callable[..., Any]) -> Operation:
     """Return the operation f(f(a, b), c)... of any number of arrays, for a binary function f."""
 
     def apply(first: Array, *others: Array) -> Any:
@@ -482,10 +482,10 @@ OPERATION_MAKERS: dict[str, Make] = {
     "Pow": _ignore_attributes(np.power),
     "Sin": _ignore_attributes(np.sin),
     "Cos": _ignore_attributes(np.cos),
-    "Erf": _ignore_attributes(_erf),
+    "Erf": _ignore_attributes(_compute_erf),
     "Reciprocal": _ignore_attributes(np.reciprocal),
-    "Max": _ignore_attributes(_fold(np.maximum)),
-    "Min": _ignore_attributes(_fold(np.minimum)),
+    "Max": _ignore_attributes(_fold_operation(np.maximum)),
+    "Min": _ignore_attributes(_fold_operation(np.minimum)),
     "Softplus": _ignore_attributes(softplus),
     "Softsign": _ignore_attributes(lambda value: value / (1 + np.abs(value))),
     "Swish": _ignore_attributes(ACTIVATIONS["swish"]),
@@ -511,7 +511,7 @@ OPERATION_MAKERS: dict[str, Make] = {
     "Slice": _make_slice,
     "Gather": _make_gather,
     "Shape": _ignore_attributes(lambda value: np.array(np.shape(value), dtype=np.float64)),
-    "Expand": _ignore_attributes(_expand),
+    "Expand": _ignore_attributes(_expand_array),
     "Flatten": _make_reshape,
     "Reshape": _make_reshape,
     "Transpose": _make_transpose,

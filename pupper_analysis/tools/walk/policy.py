@@ -362,7 +362,7 @@ def _read_tensor(
 
 
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
-    """Build the network of an ONNX file. Weights may be in files below the same folder.
+    """Build the network of an ONNX file. Weights may be in files below the folder of the file.
 
     Raises:
         ModelError: If the file contains no network or an operator that is not supported, for

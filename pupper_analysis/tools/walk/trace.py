@@ -487,7 +487,7 @@ def _measure_difference(seen: Array, expected: Array) -> float:
     return difference / (size + MATCH_ATOL / MATCH_RTOL)
 
 
-def _agrees(seen: Array, expected: Array) -> bool:
+def _signals_agree(seen: Array, expected: Array) -> bool:
     """Return True if each column of two signals (n, size) agrees within the tolerances."""
     return all(
         _measure_difference(seen[:, [column]], expected[:, [column]]) <= MATCH_RTOL
@@ -517,7 +517,7 @@ def _explain_difference(
     difference. ``names`` are the names of the elements.
     """
     error = _measure_difference(seen, expected)
-    if _agrees(seen, expected):
+    if _signals_agree(seen, expected):
         return error, "", ""
     # Without offsets first: a wrong sign or order of joints changes the offset by the default pose.
     for is_centred in (False, True):
@@ -525,9 +525,9 @@ def _explain_difference(
             suffix = f", delay {delay} samples" if delay else ""
             if is_centred:
                 late, early = late - late.mean(axis=0), early - early.mean(axis=0)
-                if _agrees(late, early):
+                if _signals_agree(late, early):
                     return error, "offset", _list_offsets(seen, expected, names) + suffix
-            elif delay and _agrees(late, early):
+            elif delay and _signals_agree(late, early):
                 return error, "delay", f"{delay} samples"
             for search in (_find_signs, _find_scales, _find_permutation):
                 found = search(late, early, names)
@@ -539,7 +539,7 @@ def _explain_difference(
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Test whether inverted signs of elements explain a difference: ("sign", names), or None."""
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
-    if (signs > 0).all() or not _agrees(seen, signs * expected):
+    if (signs > 0).all() or not _signals_agree(seen, signs * expected):
         return None
     turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0]
     return "sign", ", ".join(turned)
@@ -550,7 +550,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
     factors = np.where(squares > len(seen) * MATCH_ATOL**2, factors, 1.0)
-    if (np.abs(factors) < 1e-3).any() or not _agrees(seen, factors * expected):
+    if (np.abs(factors) < 1e-3).any() or not _signals_agree(seen, factors * expected):
         return None
     changed = np.flatnonzero(np.abs(factors - 1) > MATCH_RTOL)
     if not changed.size:
@@ -575,7 +575,7 @@ def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tup
     # Elements with equal signals stay where they are.
     costs -= 1e-9 * np.eye(len(names))
     _, order = linear_sum_assignment(np.minimum(costs, 1e3))
-    if (order == np.arange(len(names))).all() or not _agrees(seen, expected[:, order]):
+    if (order == np.arange(len(names))).all() or not _signals_agree(seen, expected[:, order]):
         return None
     moved = [f"{names[i]} has {names[j]}" for i, j in enumerate(order.tolist()) if i != j]
     return "order", ", ".join(moved[:6])
@@ -605,11 +605,11 @@ def _search_elsewhere(
         return found  # a constant may occur anywhere
     if contract.max_history > 1:
         oldest = _extract_frame(contract, observations, newest=False)[:, first : first + size]
-        if _agrees(oldest, expected):
+        if _signals_agree(oldest, expected):
             return found[0], "history", "newest frame in the place of the oldest"
     frame = _extract_frame(contract, observations, newest=True)
     for place in range(frame.shape[1] - size + 1):
-        if place != first and _agrees(frame[:, place : place + size], expected):
+        if place != first and _signals_agree(frame[:, place : place + size], expected):
             return found[0], "place", f"elements {place}-{place + size - 1}"
     return found
 

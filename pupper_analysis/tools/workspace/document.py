@@ -231,11 +231,10 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
 
 
 def _select_next_step(workspace: BaseWorkspace) -> doc.NextStep:
-    """Return the command to suggest next: `crosscheck` if the CoMs of both files differ.
+    """Return the command to suggest next, by default ``best margin``.
 
-    If the files do not state all masses, `audit` lists the links.
-    If the base turns to the end of the search, links of the robot intersect: the range is computed
-    again with a clearance between links.
+    `audit` if the files do not state all masses, `crosscheck` if the CoMs of both files differ. If
+    the base turns to the end of the search, links intersect: `workspace` with a clearance.
     """
     if not workspace.passed:
         return doc.NextStep("audit")

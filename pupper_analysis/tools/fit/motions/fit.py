@@ -433,14 +433,14 @@ iteration has converged. The estimate is then within sqrt(0.04) = 0.2 standard d
 minimum. An error of 0.2 makes an interval about 2 % too narrow: sqrt(1 + 0.04). Chosen, not
 tuned."""
 
-_ROUGH_MIN_DECREASE = 10.0
+_FIRST_PASS_MIN_DECREASE = 10.0
 """Predicted decrease of the cost (chi2 plus prior) below which the first pass ends. The first pass
 assumes white noise. Chosen, not tuned.
 """
 
-_ROUGH_DURATION = 5.0
-"""Smallest duration [s] of a run in the first pass (`shorten_run`). The first pass needs most
-iterations, and determines only the initial guess of the second pass. Chosen, not tuned.
+_FIRST_PASS_DURATION = 5.0
+"""Smallest duration [s] to which `shorten_run` shortens the runs of the first pass. The first pass
+needs most iterations, and determines only the initial guess of the second pass. Chosen, not tuned.
 """
 
 _MIN_RELATIVE_DECREASE = 5e-3
@@ -520,12 +520,12 @@ class MotionResiduals:
         return scaled, kps
 
     def _correct_scale_bias(self, moments: Array) -> tuple[float, Array]:
-        """Return a term of the cost against the bias of a common factor, and its derivative, (n,).
+        """Return a cost term against the bias of a common factor, and its derivative (n,).
 
-        The measurements determine the ratios of parameters to kp, and the prior alone their common
-        factor. The squared deviations z_i^2 from the stated values, in prior widths, favour small
-        factors. The term -2 sum_i z_i^2 ln(kp / stated kp) removes the squares of parameters that
-        the measurements determine.
+        The measurements determine the ratios of parameters to kp; the prior determines their common
+        factor. The prior's squares z_i^2 (deviations in prior widths) favour small factors. The
+        term -2 sum_i w_i ln(kp / stated kp) cancels this preference: w_i is the fraction of z_i^2
+        that the measurements determine.
         """
         kp = np.maximum(moments, _MIN_KP_FRACTION * self.table.stated)[self._kp_columns]
         weights = self._square_deviations[self._scaled_columns]
@@ -633,8 +633,11 @@ class MotionResiduals:
         """
         moments = self.moments.from_parameters(self.table.stated)
         whole_runs = self.fitted
-        shortened_runs = tuple(shorten_run(run, _ROUGH_DURATION) for run in whole_runs)
-        for is_second_pass, min_decrease in ((False, _ROUGH_MIN_DECREASE), (True, _MIN_DECREASE)):
+        shortened_runs = tuple(shorten_run(run, _FIRST_PASS_DURATION) for run in whole_runs)
+        for is_second_pass, min_decrease in (
+            (False, _FIRST_PASS_MIN_DECREASE),
+            (True, _MIN_DECREASE),
+        ):
             self._is_autoregressive = is_second_pass
             self.fitted = whole_runs if is_second_pass else shortened_runs
             self._predictor = self.fine_simulator if is_second_pass else self.simulator

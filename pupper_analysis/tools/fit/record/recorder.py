@@ -236,7 +236,7 @@ def _record_missing_stands(
                     warning = diagnose(
                         "keep-a-hand-on-it", stand=stand.name, margin=margin, aside=deviation
                     )
-                    instructions.append(_translate(warning))
+                    instructions.append(_translate_message(warning))
                 position, swing = session.take_stand(stand, loads, instructions, len(taken))
             except _StandSkippedError as error:
                 findings.append(error.finding)
@@ -459,7 +459,7 @@ class _RecordingSession:
         raise _StandSkippedError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
 
 
-def _translate(message: Diagnostic) -> str:
+def _translate_message(message: Diagnostic) -> str:
     """Return the text of a message in the language of the command."""
     return message.text(current_language())
 
@@ -474,16 +474,16 @@ def _list_instructions(
     """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
-        yield _translate(diagnose("turn-the-robot", stand=stand.name, heading=heading))
+        yield _translate_message(diagnose("turn-the-robot", stand=stand.name, heading=heading))
     if (0.0 if previous is None else previous.added) != stand.added:
         if not loads:
-            yield _translate(diagnose("take-the-mass-off", stand=stand.name))
+            yield _translate_message(diagnose("take-the-mass-off", stand=stand.name))
         for link, (mass, *position) in loads.items():
             position_text, mass_quantity = (
                 ", ".join(f"{1e3 * coordinate:.4g}" for coordinate in position),
                 Quantity(mass, "kg"),
             )
-            yield _translate(
+            yield _translate_message(
                 diagnose(
                     "put-the-mass-on",
                     stand=stand.name,
@@ -492,7 +492,9 @@ def _list_instructions(
                     place=position_text,
                 )
             )
-    yield _translate(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
+    yield _translate_message(
+        diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing))
+    )
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:

@@ -226,7 +226,7 @@ class RosListener(WallClock):
         ):
             self._node.create_subscription(messages[kind], topics[key], receive, quality)
 
-    def _append(self, signal: str, values: Any) -> None:
+    def _append_values(self, signal: str, values: Any) -> None:
         """Append the values of a message to a signal of the trace, with the time of reception."""
         row = self.now(), np.array(values, dtype=np.float64)
         self._series.setdefault(signal, []).append(row)
@@ -241,7 +241,7 @@ class RosListener(WallClock):
             if len(values) != len(self._order):
                 return
             values = values[self._order]
-        self._append(signal, values)
+        self._append_values(signal, values)
 
     def _receive_state(self, message: Any) -> None:
         """Update joint positions [rad, m] and velocities [rad/s, m/s]; append them to the trace.
@@ -254,17 +254,17 @@ class RosListener(WallClock):
                     state[name] = float(value)
             values = list(state.values())
             if np.isfinite(values).all():
-                self._append("positions" if kind == "position" else "velocities", values)
+                self._append_values("positions" if kind == "position" else "velocities", values)
 
     def _receive_imu(self, message: Any) -> None:
         """Append orientation (quaternion w, x, y, z) and angular velocity [rad/s] of the IMU."""
         turn, rate = message.orientation, message.angular_velocity
-        self._append("quaternion", (turn.w, turn.x, turn.y, turn.z))
-        self._append("angular_velocity", (rate.x, rate.y, rate.z))
+        self._append_values("quaternion", (turn.w, turn.x, turn.y, turn.z))
+        self._append_values("angular_velocity", (rate.x, rate.y, rate.z))
 
     def _receive_velocity(self, message: Any) -> None:
         """Append the commanded velocity: x and y [m/s], and rotation about z [rad/s]."""
-        self._append("commands", (message.linear.x, message.linear.y, message.angular.z))
+        self._append_values("commands", (message.linear.x, message.linear.y, message.angular.z))
 
     def listen(self, seconds: float) -> dict[str, list[tuple[float, Array]]]:
         """Receive messages for ``seconds`` [s], destroy the ROS node, and return the messages.

@@ -787,7 +787,9 @@ class GravityRegressor:
             config: Configuration of the robot.
             values: Masses, CoM positions, known masses and gravity.
         """
-        forces: Array = self._multiply(self._compute_rows(config, values, values.gravity), values)
+        forces: Array = self._multiply_rows(
+            self._compute_rows(config, values, values.gravity), values
+        )
         return forces
 
     def evaluate_derivatives(
@@ -813,7 +815,7 @@ class GravityRegressor:
         by_mass = rows[..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
         by_com = mass[:, None] * by_moment
         by_slope = [
-            self._multiply(self._compute_rows(config, values, gravity), values)
+            self._multiply_rows(self._compute_rows(config, values, gravity), values)
             for gravity in values.gravity_by_slope
         ]
         return by_mass, by_com, np.column_stack(by_slope)
@@ -837,7 +839,7 @@ class GravityRegressor:
         selected: Array = rows.reshape(len(rows), -1, 10)[:, self._stack_bodies(values)[0] - 1, :4]
         return selected
 
-    def _multiply(self, rows: Array, values: StandValues) -> Array:
+    def _multiply_rows(self, rows: Array, values: StandValues) -> Array:
         """Multiply regressor rows, shape (nv, b + k, 4), by masses and first moments."""
         _, mass, com = self._stack_bodies(values)
         forces: Array = np.einsum("vbm,bm->v", rows, np.column_stack([mass, mass[:, None] * com]))
