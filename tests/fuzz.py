@@ -234,7 +234,7 @@ def find_wrong_files(
                 yield f"{name} is not whole: {now[:40]!r} … {now[-40:]!r}"
         elif arguments[:1] != ("sync",):
             # What --force names once, as an output, is not read: "audit - --force --json FILE".
-            named = [one for one in arguments if Path(one).name == name]
+            named = [argument for argument in arguments if Path(argument).name == name]
             if "--force" not in arguments or len(named) != 1 or name in read:
                 yield f"{name} was written to"
     for path in folder.rglob("*"):
@@ -502,15 +502,15 @@ def options_of(command: str) -> dict[str, tuple[str, ...]]:
     from pupper_analysis import cli
 
     found = {}
-    for one in cli.find_command(command).params:
-        if not isinstance(one, click.Option):
+    for param in cli.find_command(command).params:
+        if not isinstance(param, click.Option):
             continue
-        name = max(one.opts, key=len)
-        if one.is_flag:
+        name = max(param.opts, key=len)
+        if param.is_flag:
             found[name] = ()
-        elif isinstance(one.type, click.Choice):
-            found[name] = (*map(str, one.type.choices), "x", "")
-        elif isinstance(one.type, click.Path) and name not in _VALUES:
+        elif isinstance(param.type, click.Choice):
+            found[name] = (*map(str, param.type.choices), "x", "")
+        elif isinstance(param.type, click.Path) and name not in _VALUES:
             found[name] = ("robot.xml", "none.toml", ".", "")
         else:
             found[name] = _VALUES.get(name, _TEXTS)

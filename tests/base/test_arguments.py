@@ -146,7 +146,7 @@ def test_invalid_field_of_a_task_raises_by_name(field: str, junk: Any) -> None:
 @pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
 @pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
 def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
-    names = [one.name for one in fields(kind) if one.init]
+    names = [field.name for field in fields(kind) if field.init]
     assert names
     for field in names:
         with pytest.raises(pa.PupperAnalysisError):
@@ -399,7 +399,7 @@ def test_patterns_select_the_chosen_names_and_no_others(
     """Reference: `match_names`, which the command line uses for patterns."""
     patterns = find_name_patterns(chosen, [*chosen, *others])
     assert sorted(patterns) == sorted(expected)
-    selected = {name for one in patterns for name in match_names(one, [*chosen, *others])}
+    selected = {name for pattern in patterns for name in match_names(pattern, [*chosen, *others])}
     assert selected == set(chosen)
 
 

@@ -26,7 +26,7 @@ def test_a_refusal_names_feet_with_an_error_above_a_thousandth_of_the_largest() 
     shortfall = {"FL/0": 0.02, "FL/1": 0.03, "FR": 0.0301, "RL": 2e-5, "RR": 0.0}
     error = StanceUnreachableError("as if", shortfall, {})
     (missed,) = error.diagnostic.values["obstacles"]  # type: ignore[misc]
-    feet = {one.subject.name: one.values["gap"].value for one in missed.values["feet"]}
+    feet = {value.subject.name: value.values["gap"].value for value in missed.values["feet"]}
     assert feet == {"FL": 0.03, "FR": 0.0301}
 
 

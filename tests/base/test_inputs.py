@@ -105,7 +105,7 @@ def test_is_input_is_false_for_an_impossible_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [one for one in damaged.kinds() if one.name.endswith(".toml")])
+@pytest.mark.parametrize("kind", [kind for kind in damaged.kinds() if kind.name.endswith(".toml")])
 @pytest.mark.parametrize("place", ["first", "last", "value"])
 def test_error_line_is_short_for_a_huge_word(
     kind: damaged.Kind, place: str, tmp_path: Path

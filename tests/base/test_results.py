@@ -122,13 +122,13 @@ def test_values_without_a_json_form_raise() -> None:
 def test_results_and_tasks_are_immutable() -> None:
     """Functions rely on checks of the constructor, for example of a stand's orientation."""
     stand = stand_of("v3")
-    for one in (stand, pickle.loads(pickle.dumps(stand)), copy.deepcopy(stand)):
+    for copied in (stand, pickle.loads(pickle.dumps(stand)), copy.deepcopy(stand)):
         with pytest.raises(ValueError, match="read-only"):
-            one.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+            copied.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
         with pytest.raises(ValueError, match="read-only"):
-            one.foot_targets["FL"][2] += 0.1
-        task = one.task
-        for mapping in (one.foot_targets, one.depths, task.foot_offsets, task.ground.heights):
+            copied.foot_targets["FL"][2] += 0.1
+        task = copied.task
+        for mapping in (copied.foot_targets, copied.depths, task.foot_offsets, task.ground.heights):
             before = dict(mapping)
             for change in (
                 lambda m: m.update(FL=(math.nan, 0.0)),

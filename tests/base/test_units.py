@@ -48,23 +48,23 @@ def list_published_classes() -> list[type]:
             for name in re.findall(r"\w+", str(published.type)):
                 meant = vars(sys.modules[kind.__module__]).get(name)
                 found = dataclasses.get(name, ()) if meant is None else (meant,)
-                kinds += [each for each in found if is_dataclass(each) and each not in kinds]
+                kinds += [cls for cls in found if is_dataclass(cls) and cls not in kinds]
     return kinds
 
 
 def published_fields(kind: type) -> list[Field[object]]:
     """Return the fields of a class that JSON contains."""
-    return [each for each in fields(kind) if not each.name.startswith("_")]
+    return [class_field for class_field in fields(kind) if not class_field.name.startswith("_")]
 
 
 def test_each_published_number_states_a_unit_or_is_dimensionless() -> None:
     kinds = list_published_classes()
     assert len(kinds) > 100
     without = [
-        f"{kind.__module__}.{kind.__qualname__}.{each.name}"
+        f"{kind.__module__}.{kind.__qualname__}.{published_field.name}"
         for kind in kinds
-        for each in published_fields(kind)
-        if NUMERIC.search(str(each.type)) and "unit" not in each.metadata
+        for published_field in published_fields(kind)
+        if NUMERIC.search(str(published_field.type)) and "unit" not in published_field.metadata
     ]
     assert without == []
 
@@ -72,10 +72,14 @@ def test_each_published_number_states_a_unit_or_is_dimensionless() -> None:
 def test_units_are_written_in_one_form() -> None:
     assert list_published_classes()
     for kind in list_published_classes():
-        for each in published_fields(kind):
-            unit = each.metadata.get("unit", DIMENSIONLESS_UNIT)
+        for published_field in published_fields(kind):
+            unit = published_field.metadata.get("unit", DIMENSIONLESS_UNIT)
             for part in re.split(r" or | and |, ", unit):
-                assert part == VARYING_UNIT or UNIT.fullmatch(part), (kind, each.name, unit)
+                assert part == VARYING_UNIT or UNIT.fullmatch(part), (
+                    kind,
+                    published_field.name,
+                    unit,
+                )
 
 
 def test_units_stay_if_a_docstring_is_reworded() -> None:

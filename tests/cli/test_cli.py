@@ -55,7 +55,7 @@ def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Pat
     variant = pa.pupper.VariantSpec("v3", 1.2)
     (row,) = content["comparison"]
     assert row["thigh_ratio"] == pytest.approx(1.2)
-    mass, base_mass = (pa.load_variant(one).total_mass for one in (variant, "v3"))
+    mass, base_mass = (pa.load_variant(name).total_mass for name in (variant, "v3"))
     assert row["mass_ratio"] == pytest.approx(mass / base_mass)
     analysed = content["variants"][name]
     assert analysed["verified"] is True
@@ -149,24 +149,24 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     known = {"v": {"v1.urdf", "v2.xml"}, "original": set()}
     for name in own_tools():
         command = cli.find_command(name)
-        robots = [one for one in command.params if "[ROBOT]" in str(one.metavar)]
+        robots = [param for param in command.params if "[ROBOT]" in str(param.metavar)]
         for robot in robots:
             for begun, files in known.items():
                 items = robot.shell_complete(click.Context(command), begun)
                 found = {item.value for item in items if item.type == "plain"}
-                assert found == files | {one for one in VARIANTS if one.startswith(begun)}
+                assert found == files | {name for name in VARIANTS if name.startswith(begun)}
             (item,) = robot.shell_complete(click.Context(command), "folder.xml/")
             assert (item.type, item.value) == ("file", "folder.xml/")
-        for other in command.params:
-            if isinstance(other, click.Argument) and other not in robots:
-                (item, *_) = other.shell_complete(click.Context(command), "")
-                assert item.type == "file" or isinstance(other.type, click.Choice), name
+        for param in command.params:
+            if isinstance(param, click.Argument) and param not in robots:
+                (item, *_) = param.shell_complete(click.Context(command), "")
+                assert item.type == "file" or isinstance(param.type, click.Choice), name
 
 
 def test_help_lists_each_command_under_its_heading(capsys: pytest.CaptureFixture[str]) -> None:
     """Tools of this package have a listed heading; tools of other distributions may omit the
     heading."""
-    assert {one.heading for one in own_tools().values()} <= set(HELP_HEADINGS[:-1])
+    assert {tool.heading for tool in own_tools().values()} <= set(HELP_HEADINGS[:-1])
     with pytest.raises(SystemExit):
         cli.run(cli.group, ["--help"])
     lines = capsys.readouterr().out.splitlines()
@@ -194,7 +194,7 @@ finally:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     imported = set(done.stdout.rpartition("imported ")[2].split())
     commands = {f"{tool.package}.command" for tool in own_tools().values()}
-    assert commands & imported == {f"pupper_analysis.tools.{one}.command" for one in needed}
+    assert commands & imported == {f"pupper_analysis.tools.{tool}.command" for tool in needed}
     assert "numpy" not in imported or needed
     for name, tool in own_tools().items():
         assert needed or f"{name} " in done.stdout
@@ -204,7 +204,7 @@ finally:
 def test_feet_joints_and_com_are_completed() -> None:
     """References: names of v3's feet and joints, and the words of ``--com``."""
     command = cli.find_command("stand")
-    options = {one.name: one for one in command.params}
+    options = {param.name: param for param in command.params}
     context = click.Context(command)
     context.params["words"] = ("v3",)
     for name, begun, expected in (

@@ -125,7 +125,7 @@ def test_no_converted_file_is_better_than_bare_mujoco(
     """``convert`` there and back, and a stance on a slope with a payload, which a file states."""
     row = every_command.make_row(name, EDITS[name], find_folder(name), FILES)
     assert row.cells.keys() == FILES.keys()
-    assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+    assert not row.wrong, {column: row.cells[column].word for column in row.wrong}
 
 
 @pytest.mark.slow
@@ -134,7 +134,7 @@ def test_no_verdict_of_an_arm_is_better_than_bare_mujoco(name: str, tmp_path: Pa
     """Reference: simulation of the unmodified arm."""
     row = every_command.make_arm_row(name, tmp_path)
     assert row.cells.keys() == every_command.HELD.keys()
-    assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+    assert not row.wrong, {column: row.cells[column].word for column in row.wrong}
 
 
 ARMS = {

@@ -58,7 +58,7 @@ def simulate_once() -> Iterator[None]:
 
 @pytest.mark.parametrize("name", cli.COMMAND_NAMES)
 def test_each_command_has_the_same_option_for_the_language(name: str) -> None:
-    options = [one for one in cli.find_command(name).params if one.name == "language"]
+    options = [param for param in cli.find_command(name).params if param.name == "language"]
     assert len(options) == 1
     assert options[0] is LANGUAGE_OPTION
 

@@ -83,7 +83,7 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMAND_N
 """{command line: options that have no effect in it}."""
 
 
-@pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))
+@pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(word).name for word in line))
 def test_option_without_effect_is_refused_before_any_computation(
     line: tuple[str, ...], tmp_path: Path
 ) -> None:

@@ -178,8 +178,8 @@ def reads(command: click.Command, words: list[str]) -> list[str]:
     ]
     if command.name == "check":
         named.append("pupper-analysis.toml")
-    inside = [one for name in named for one in INSIDE.get(name, ())]
-    inside += [one for name in inside for one in INSIDE.get(name, ())]
+    inside = [file for name in named for file in INSIDE.get(name, ())]
+    inside += [file for name in inside for file in INSIDE.get(name, ())]
     return list(dict.fromkeys([*named, *inside]))
 
 
@@ -193,7 +193,7 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
     ]
     for more in MORE.get(str(command.name), [[]]):
         # A stance excludes a policy, a trace the file of a fit.
-        names = {one.name for one in command.params}
+        names = {param.name for param in command.params}
         left = {"policy", "contract"} if "stance" in names else set[str]()
         left |= {"fitted"} if "--trace" in more else set()
         inputs = [
@@ -211,7 +211,7 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
     """Yields the outputs of a command line; of folders with a file that is written into them."""
     for option in command.outputs:
-        given = dict.fromkeys(str(one.name) for one in command.params)
+        given = dict.fromkeys(str(param.name) for param in command.params)
         given |= {"count": 4 if "--plan" in line else None}
         given |= {"record": "plan.csv" if "--record" in line else None}
         assert isinstance(option.type, OutputPath)
@@ -263,7 +263,7 @@ def aim_output_at_input(
 
 
 ALL = [cli.find_command(name) for name in cli.COMMAND_NAMES]
-WRITING = [one for one in ALL if isinstance(one, Command) and one.outputs]
+WRITING = [command for command in ALL if isinstance(command, Command) and command.outputs]
 
 
 def one_line(result: Answer) -> bool:

@@ -60,7 +60,10 @@ def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
 def test_urdf_and_neighbouring_mjcf_are_one_robot(words: str, meant: list[str]) -> None:
     """Also for commands that accept one robot."""
     found = NOTHING.select_robots(tuple(words.split()))
-    names = [sorted(one.models) if isinstance(one, RobotFiles) else [one] for one in found]
+    names = [
+        sorted(selection.models) if isinstance(selection, RobotFiles) else [selection]
+        for selection in found
+    ]
     assert names == [sorted(name.split("+")) for name in meant]
     if len(meant) == 1:
         assert NOTHING.select_robot(tuple(words.split())) == found[0]
@@ -77,12 +80,16 @@ def test_xml_format_is_determined_by_the_content(tmp_path: Path) -> None:
 def test_robots_with_equal_names_get_unique_names() -> None:
     robot = load_variant("v3")
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
-    names = [one.name for one in name_uniquely([*meant, "v3"], [robot] * 4)]
+    names = [renamed.name for renamed in name_uniquely([*meant, "v3"], [robot] * 4)]
     assert names == ["a.urdf", "b.xml", "b.xml 2", "v3"]
     paths = ("x/y/a.urdf", "x/z/a.urdf", "b.xml")
     meant = [RobotFiles((path,), {}) for path in paths]
     named = [replace(robot, name=str(files)) for files in meant]
-    assert [one.name for one in name_uniquely(meant, named)] == ["y/a.urdf", "z/a.urdf", "b.xml"]
+    assert [renamed.name for renamed in name_uniquely(meant, named)] == [
+        "y/a.urdf",
+        "z/a.urdf",
+        "b.xml",
+    ]
 
 
 @pytest.mark.slow

@@ -164,7 +164,10 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
         "FL=wall:40cm,mu=0.6",
         "hand=plane:0.1,0.2,30cm,0,3,4,place=0.1/0.2/0.4,offset=5cm/0/0",
     ]
-    assert parse_options(*(part for one in typed for part in ("--contact", one))).task() == task
+    assert (
+        parse_options(*(part for contact in typed for part in ("--contact", contact))).task()
+        == task
+    )
     file = tmp_path / "lean.toml"
     file.write_text(format_stance(task))
     assert parse_options("--stance", str(file)).task() == task

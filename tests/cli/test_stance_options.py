@@ -37,8 +37,8 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
         assert own_names <= set(options), command
         assert command != "workspace" or simulated.isdisjoint(options)
         shared.append({name: options[name].to_info_dict() for name in sorted(own_names)})
-    for one in shared:
-        assert all(info == shared[0][name] for name, info in one.items())
+    for infos in shared:
+        assert all(info == shared[0][name] for name, info in infos.items())
     analyze = {option.name: option for option in cli.find_command("analyze").params}
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.find_command("stand").params}

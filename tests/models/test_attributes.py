@@ -59,9 +59,9 @@ MJCF = (
 
 def stated_urdf() -> UrdfTree:
     tree = UrdfTree.of(URDF)
-    for one in JOINT_ATTRIBUTES:
-        if one.urdf is not None:
-            tree.joints["j"].set_parameter(one, VALUES[one.kind])
+    for joint_attribute in JOINT_ATTRIBUTES:
+        if joint_attribute.urdf is not None:
+            tree.joints["j"].set_parameter(joint_attribute, VALUES[joint_attribute.kind])
     return tree
 
 
@@ -77,13 +77,13 @@ def test_engines_have_the_joint_attributes_of_the_files(files: tuple[Path, Path]
     """Reference: `VALUES`, in which no two values are equal, so that a swapped column is found."""
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
-    for one in TREE_ATTRIBUTES:
-        wanted = VALUES[one.kind] if one.urdf else 0.0
-        assert getattr(tree.joints["j"], one.field) == wanted, one.kind
+    for attribute in TREE_ATTRIBUTES:
+        wanted = VALUES[attribute.kind] if attribute.urdf else 0.0
+        assert getattr(tree.joints["j"], attribute.field) == wanted, attribute.kind
     compiled = mujoco.MjModel.from_xml_path(str(files[1]))
-    for one in PASSIVE_ATTRIBUTES:
-        if one.mujoco:
-            assert getattr(compiled, one.mujoco)[6] == VALUES[one.kind], one.kind
+    for attribute in PASSIVE_ATTRIBUTES:
+        if attribute.mujoco:
+            assert getattr(compiled, attribute.mujoco)[6] == VALUES[attribute.kind], attribute.kind
 
 
 def test_joint_attributes_are_kept_in_models_of_both_engines(files: tuple[Path, Path]) -> None:
@@ -92,15 +92,19 @@ def test_joint_attributes_are_kept_in_models_of_both_engines(files: tuple[Path, 
     """
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
-    numbers = {one.field: VALUES[one.kind] for one in TREE_ATTRIBUTES}
+    numbers = {
+        tree_attribute.field: VALUES[tree_attribute.kind] for tree_attribute in TREE_ATTRIBUTES
+    }
     numbered = replace(tree.joints["j"], **numbers)  # type: ignore[arg-type]
     tree = replace(tree, joints={"j": numbered})
     back = from_pinocchio(to_pinocchio(tree), "a", ["j"], {}).joints["j"]
     assert {field: getattr(back, field) for field in numbers} == numbers
     compiled = MujocoTree(tree).model
-    for one in TREE_ATTRIBUTES:
-        if one.mujoco:
-            np.testing.assert_array_equal(getattr(compiled, one.mujoco)[-1], VALUES[one.kind])
+    for tree_attribute in TREE_ATTRIBUTES:
+        if tree_attribute.mujoco:
+            np.testing.assert_array_equal(
+                getattr(compiled, tree_attribute.mujoco)[-1], VALUES[tree_attribute.kind]
+            )
 
 
 @pytest.mark.parametrize("position", [(0.1, 0.0, -0.2), (0.0, 0.0, 0.0), (-1.0, -1.0, -1.0)])
@@ -189,14 +193,21 @@ def test_factor_changes_its_attribute_only(
     old = mjcf.spec.copy().compile()
     mjcf.scale("j", attribute, 2.0)
     new = mjcf.spec.compile()
-    for one in PASSIVE_ATTRIBUTES:
-        name, ratio = one.mujoco or one.of_joints, 2.0 if one == attribute else 1.0
-        assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], one.kind
+    for passive_attribute in PASSIVE_ATTRIBUTES:
+        name, ratio = (
+            passive_attribute.mujoco or passive_attribute.of_joints,
+            2.0 if passive_attribute == attribute else 1.0,
+        )
+        assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], passive_attribute.kind
 
 
 def test_comparison_names_each_value_that_differs(files: tuple[Path, Path]) -> None:
     """One value of the URDF is 10 % smaller than in the MJCF."""
-    compared = [one for one in TREE_ATTRIBUTES if one.urdf and one.mjcf]
+    compared = [
+        tree_attribute
+        for tree_attribute in TREE_ATTRIBUTES
+        if tree_attribute.urdf and tree_attribute.mjcf
+    ]
     assert len(compared) >= 4
     for one in compared:
         tree = stated_urdf()

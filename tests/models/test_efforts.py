@@ -240,7 +240,7 @@ def test_hinge_has_no_range_if_its_limit_states_none(
     if free:
         assert notes[0].values["names"] == ("FL_knee", "FR_knee", "RL_knee", "RR_knee")
     # `audit` reports the range of the file as written, unless the lower limit is below the upper.
-    found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
+    found = [finding for finding in pa.audit_model(urdf).findings if finding.rule == "range-empty"]
     assert bool(found) is ('lower="-1"' not in limit)
 
 
@@ -268,7 +268,7 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
     found = pa.verify_stand(robot, pa.solve_stand(robot))
     assert found.passed, found.failures
     differing = pa.compare_models(pair.urdf, pair.mjcf).differences
-    assert {one.kind for one in differing} == {"lower limit", "upper limit", "effort"}
+    assert {difference.kind for difference in differing} == {"lower limit", "upper limit", "effort"}
     # If neither file states a range, the files agree.
     rewrite_file(
         pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"')

@@ -60,7 +60,7 @@ def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path
     (tmp_path / "free").mkdir()
     free = quadruped(tmp_path / "free")
     pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
-    robots = [pa.load_robot(urdf=one.urdf, mjcf=one.mjcf) for one in (free, pair)]
+    robots = [pa.load_robot(urdf=files.urdf, mjcf=files.mjcf) for files in (free, pair)]
     assert robots[1].floating
     one, two = (pa.solve_stand(robot) for robot in robots)
     np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)

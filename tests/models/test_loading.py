@@ -285,7 +285,7 @@ def test_pipe_in_place_of_a_mesh_does_not_block(tmp_path: Path) -> None:
     (tmp_path / "r.xml").write_text(format_mjcf(MESH.replace("obj", "stl"), WITH_MESH))
     for name in ("r.urdf", "r.xml"):
         found = pa.audit_model(tmp_path / name).findings
-        assert any("file 'k.stl' is missing" in one.message for one in found)
+        assert any("file 'k.stl' is missing" in finding.message for finding in found)
 
 
 # ------------------------------------------------------------------------------------- MJCF

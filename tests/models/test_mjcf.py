@@ -81,7 +81,7 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
         ('mass="1.0"', 'mass="1e200"', "body 'thigh0': mass contains 1e+200"),
         ('<site name="foot0" pos="0.002', '<site name="foot0" pos="nan', "site 'foot0': pos"),
         ('range="-1.0 0.9"', 'range="nan 0.9"', "value of jnt_range is nan"),
-        *((WORLD, f'<option gravity="{one}"/>{WORLD}', "gravity") for one in TOO_MUCH),
+        *((WORLD, f'<option gravity="{number}"/>{WORLD}', "gravity") for number in TOO_MUCH),
     ],
 )
 def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -72,7 +72,9 @@ def test_tree_of_a_pinocchio_model_has_its_dynamics(name: str, fixed: bool) -> N
     """Reference: Pinocchio with the original model, at a random state."""
     robot = load(name, fixed_base=fixed)
     qpos, qvel = random_state(robot)
-    first, second = (pa.Configuration(one, qpos, qvel) for one in (robot, rebuild_by_tree(robot)))
+    first, second = (
+        pa.Configuration(model, qpos, qvel) for model in (robot, rebuild_by_tree(robot))
+    )
     force = np.linspace(-1, 1, robot.nv)
     pairs = [
         (first.mass_matrix(), second.mass_matrix()),
@@ -123,14 +125,15 @@ def test_random_frames_of_the_generator_keep_the_dynamics(tmp_path: Path) -> Non
     turned = read_mjcf(files.mjcf).model
     for body in range(2, model.nbody):
         before, after = (
-            Rotation.from_quat(one.body_quat[body], scalar_first=True) for one in (model, turned)
+            Rotation.from_quat(compiled.body_quat[body], scalar_first=True)
+            for compiled in (model, turned)
         )
         assert (before.inv() * after).magnitude() > 0.1
     first, second = pinocchio_from_mujoco(model), pinocchio_from_mujoco(turned)
     q = pin.integrate(first, pin.neutral(first), np.linspace(-1, 1, first.nv))
     v = np.linspace(1, -1, first.nv)
     for compute in (pin.crba, lambda *state: pin.nonLinearEffects(*state, v)):
-        expected, found = (compute(one, one.createData(), q) for one in (first, second))
+        expected, found = (compute(model, model.createData(), q) for model in (first, second))
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

@@ -81,7 +81,7 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     values = {note.code: note for note in comparison.notes if not isinstance(note, str)}
     assert values["files-missing"].values["files"] == ("shell.stl",)
     findings = audit_model(tmp_path / "robot.xml").findings
-    (finding,) = (one for one in findings if one.rule == "mesh-missing")
+    (finding,) = (finding for finding in findings if finding.rule == "mesh-missing")
     assert "is a pointer of Git LFS, not a mesh: git lfs pull downloads the mesh" in finding.message
 
 

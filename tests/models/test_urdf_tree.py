@@ -29,7 +29,7 @@ def test_the_base_is_the_link_that_no_joint_moves(tree: UrdfTree) -> None:
     assert len(tree.links) == len(tree.joints) + 1
     for name, joint in tree.joints.items():
         assert tree.parent_joints[joint.child].name == name
-        assert name in [other.name for other in tree.child_joints[joint.parent]]
+        assert name in [child_joint.name for child_joint in tree.child_joints[joint.parent]]
 
 
 def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:

@@ -75,7 +75,9 @@ def test_unused_xacro_is_ignored_with_a_note(files: Any, name: str) -> None:
     after = pin.buildModelFromXML(file.text)
     assert [note.code for note in file.notes] == (["xacro-ignored"] if HARMLESS[name] else [])
     assert list(after.names) == list(before.names)
-    assert np.array_equal([one.mass for one in after.inertias], [b.mass for b in before.inertias])
+    assert np.array_equal(
+        [inertia.mass for inertia in after.inertias], [b.mass for b in before.inertias]
+    )
     assert "xacro:" not in file.text or not HARMLESS[name]
     assert kind_of(files.urdf) == "urdf"
 
@@ -121,7 +123,7 @@ def test_faulty_xml_declarations_are_accepted(files: Any, declared: str) -> None
     for path in (files.urdf, files.mjcf):
         path.write_text(declared + path.read_text())
     comparison = compare_files(files.urdf, files.mjcf).result
-    assert [one.kind for one in comparison.differences] == ["mass"]
+    assert [difference.kind for difference in comparison.differences] == ["mass"]
     line = files.urdf.read_text().split('<link name="base"')[0].count("\n") + 1
     assert read_urdf(files.urdf).place("link", "base").line == line
     assert pin.buildModelFromXML(read_urdf(files.urdf).text).nv > 0

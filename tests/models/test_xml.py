@@ -20,7 +20,7 @@ def test_file_is_converted_if_its_name_has_an_escape(tmp_path: Path) -> None:
     assert done.returncode < 2, done
     assert "\x1b" not in done.stdout + done.stderr
     tree = etree.parse(tmp_path / "new.urdf")
-    assert any("\\x1b[31m- -b.xml" in str(one.text) for one in tree.xpath("//comment()"))
+    assert any("\\x1b[31m- -b.xml" in str(comment.text) for comment in tree.xpath("//comment()"))
 
 
 @pytest.mark.parametrize("header", ["a\x1b[31mb", "a--b", "--->", "a\0b", "\ufffe", "b-"])

@@ -115,7 +115,7 @@ def test_feet_with_one_matching_contact_mask_touch_the_step(
         ours = next(int(geom) for geom in pair if int(geom) in there.foot_geoms)
         other = next(int(geom) for geom in pair if int(geom) != ours)
         touched.append((there.foot_geoms[ours], name(other).name.startswith("step_")))
-    expected = {(other, other == robot.contact_points[0]) for other in robot.contact_points}
+    expected = {(point, point == robot.contact_points[0]) for point in robot.contact_points}
     assert set(touched) == expected
 
 

@@ -44,7 +44,11 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     np.testing.assert_allclose(drive.kp, [made[name].kp for name in robot.joint_names])
     np.testing.assert_allclose(drive.kd, [made[name].kd for name in robot.joint_names])
     np.testing.assert_allclose(robot.effort_limits, 30.0)
-    [steps] = [one for one in robot.description.added if "integrator" in getattr(one, "values", {})]
+    [steps] = [
+        addition
+        for addition in robot.description.added
+        if "integrator" in getattr(addition, "values", {})
+    ]
     assert "integrator implicitfast, 2 ms" in str(steps.reason)
     assert steps.values["timestep"] == 0.002
     published = compare_nominal_stand(robot)

@@ -211,7 +211,7 @@ def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
 def test_impossible_values_appear_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
     """A negative effort limit, and a sphere of radius 0."""
     urdf = write_slip(tmp_path, slip)
-    (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
+    (found,) = (finding for finding in pa.audit_model(urdf).findings if finding.severity == "error")
     assert found.rule in ("value-impossible", "effort-negative")
     assert f"audit lists them): {message}" in format_verdict(verdict_of(pa.load_robot(urdf)))
 
@@ -389,7 +389,9 @@ def test_ctrl_of_a_keyframe_that_moves_an_arm_is_reported(tmp_path: Path) -> Non
     robot = pa.load_robot(*pair)
     verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     assert verdict.passed
-    (remark,) = [one for one in verdict.remarks if one.code == "keyframe-commands-elsewhere"]
+    (remark,) = [
+        remark for remark in verdict.remarks if remark.code == "keyframe-commands-elsewhere"
+    ]
     assert remark.values["joint"] == "arm_elbow"
     moved = remark.values["off"]
     assert isinstance(moved, Quantity)

@@ -26,7 +26,9 @@ def test_pass_names_are_distinct_and_files_are_unchanged(tmp_path: Path) -> None
 
     The pass ``remove-free-joint-friction`` changes the dry friction of the robot's free joint only.
     """
-    assert len({each.name for each in PREPARATION_PASSES}) == len(PREPARATION_PASSES)
+    assert len({preparation_pass.name for preparation_pass in PREPARATION_PASSES}) == len(
+        PREPARATION_PASSES
+    )
     pair = quadruped(tmp_path)
     rewrite_file(pair.mjcf, ("<freejoint/>", '<joint type="free" frictionloss="0.3"/>'))
     before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
@@ -168,9 +170,9 @@ def test_loading_releases_the_robots_of_intermediate_steps(tmp_path: Path) -> No
     before = _list_robots()
     robot = pa.load_robot(mjcf)
     gc.collect()
-    assert len([one for one in _list_robots() if all(one is not old for old in before)]) == 2
+    assert len([robot for robot in _list_robots() if all(robot is not old for old in before)]) == 2
     pa.solve_stand(robot)  # the robot without postponed steps also stands
 
 
 def _list_robots() -> list[pa.Robot]:
-    return [one for one in gc.get_objects() if type(one) is pa.Robot]
+    return [instance for instance in gc.get_objects() if type(instance) is pa.Robot]

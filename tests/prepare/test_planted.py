@@ -92,8 +92,8 @@ def tendon(words: str, *names: str) -> Edit:
 
 def combine_edits(*edits: Edit) -> Edit:
     def edit(text: str) -> str:
-        for one in edits:
-            text = one(text)
+        for edit in edits:
+            text = edit(text)
         return text
 
     return edit
@@ -211,7 +211,7 @@ def causes(verdict: Verdict) -> list[str]:
                 "files-of-two-robots": "files-differ",
                 "feet-without-friction": "feet-without-friction",
             }
-            found += [named[one.code] for one in verdict.failures if one.code in named]
+            found += [named[failure.code] for failure in verdict.failures if failure.code in named]
         elif own is not None and own.fails and joint is not None:
             found += ["own-run"] if joint.drive is not Drive.SERVO or joint.commanded_away else []
         elif code not in NEVER:
@@ -251,7 +251,7 @@ def is_cause_right(
         verdict = judged(urdf, mjcf)
     except pa.PupperAnalysisError as error:
         stated = (error.diagnostic, *error.diagnostic.values.values())
-        return bool({getattr(one, "code", "") for one in stated} & set(allowed))
+        return bool({getattr(item, "code", "") for item in stated} & set(allowed))
     message = causes(verdict)
     assert set(message) <= {*allowed, *CONSEQUENCES}, (message, format_verdict(verdict))
     if verdict.passed and set(message) <= {"foot-slid"}:  # a warning of a stand that holds

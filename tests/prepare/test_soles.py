@@ -321,9 +321,10 @@ def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_funct
         return float(np.linalg.norm(half_axes * direction))
 
     eye = step * np.eye(3)
-    gradient = [(support(down + one) - support(down - one)) / (2 * step) for one in eye]
+    gradient = [(support(down + offset) - support(down - offset)) / (2 * step) for offset in eye]
     curvature = sum(
-        (support(down + one) - 2 * support(down) + support(down - one)) / step**2 for one in eye
+        (support(down + offset) - 2 * support(down) + support(down - offset)) / step**2
+        for offset in eye
     )  # the trace: the direction itself adds nothing, as h is homogeneous of degree 1
     centre, radius = compute_osculating_sphere(shape, down)
     np.testing.assert_allclose(centre + radius * down, gradient, atol=1e-8)

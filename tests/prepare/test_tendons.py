@@ -106,7 +106,7 @@ def test_the_unmodified_file_decides_about_joints_at_tendons(tmp_path: Path, len
     assert verdict.with_feedforward is Ending.HOLDS
     assert verdict.passed is (length < 0)
     assert (verdict.code is VerdictCode.OWN_DRIVES_FAIL) is (length > 0)
-    [remark] = [one for one in verdict.remarks if one.code == "joints-at-tendons"]
+    [remark] = [remark for remark in verdict.remarks if remark.code == "joints-at-tendons"]
     assert remark.values["joints"] == ("FL_knee",)
     assert remark.values["tendons"] == ("cord",)
     assert remark.values["actuators"] == ("winch",)
@@ -300,7 +300,7 @@ def test_the_servo_of_a_spatial_tendon_holds_its_joint_in_the_published_file(
     stand = pa.solve_stand(robot)
     verdict = pa.judge_stand(robot, stand)
     assert verdict.passed
-    [remark] = [one for one in verdict.remarks if one.code == "joints-at-tendons"]
+    [remark] = [remark for remark in verdict.remarks if remark.code == "joints-at-tendons"]
     assert remark.values["joints"] == ("FL_knee",)
     assert remark.values["spatial"] == ("winch",)
     held = pa.solve_stand_as_simulated(robot, stand)

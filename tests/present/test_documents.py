@@ -39,7 +39,10 @@ def test_documents_equal_the_golden_files(name: str) -> None:
 
 
 def list_shown_tables(shown: Report) -> list[Table]:
-    blocks = [*shown.overview, *(block for one in shown.documents for block in one.blocks)]
+    blocks = [
+        *shown.overview,
+        *(block for document in shown.documents for block in document.blocks),
+    ]
     return [block for block in blocks if isinstance(block, Table)]
 
 
@@ -61,7 +64,9 @@ def read_markdown_tables(text: str) -> list[Rows]:
     found, joiner = [], "\u2060"
     for lines in re.findall(r"(?m)(?:^\|.*\|\n)+", text.replace(joiner, "")):
         split = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines.splitlines()]
-        cells = [[re.sub(r"\\(.)", r"\1", one).strip().strip("*") for one in row] for row in split]
+        cells = [
+            [re.sub(r"\\(.)", r"\1", cell).strip().strip("*") for cell in row] for row in split
+        ]
         found.append([dict(zip(cells[0], row, strict=True)) for row in cells[2:]])
     return found
 
@@ -84,7 +89,8 @@ def read_terminal_table(table: Table, text: str) -> Rows:
 def join_lines(rows: Rows) -> list[list[str]]:
     """Return headers and cells of each row without line breaks."""
     return [
-        [" ".join(one.split()).replace(" (–)", "") for one in (*row, *row.values())] for row in rows
+        [" ".join(cell.split()).replace(" (–)", "") for cell in (*row, *row.values())]
+        for row in rows
     ]
 
 
@@ -98,7 +104,7 @@ def test_cells_are_equal_on_terminals_pages_and_in_markdown(name: str) -> None:
     expected = [join_lines(list_rows(table)) for table in list_shown_tables(shown)]
     assert expected
     markdown = [join_lines(rows) for rows in read_markdown_tables(write_markdown(shown))]
-    assert markdown == expected[: sum(isinstance(one, Table) for one in shown.overview) or None]
+    assert markdown == expected[: sum(isinstance(block, Table) for block in shown.overview) or None]
     page = [join_lines(rows) for _, rows in Page(render_page(shown)).list_tables()]
     assert page == expected
     for document in shown.documents:

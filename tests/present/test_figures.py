@@ -185,7 +185,7 @@ def test_each_view_of_a_pose_has_scale_bar_front_and_names_of_feet() -> None:
         boxes = [box for name, box in texts.items() if name]
         for box in boxes:
             assert figure.bbox.x0 < box.x0 < box.x1 < figure.bbox.x1
-            assert sum(box.overlaps(other) for other in boxes) == 1  # itself
+            assert sum(box.overlaps(second_box) for second_box in boxes) == 1  # itself
         # +x points to the lower right in the oblique view, and upwards from above.
         (arrow,) = (part for part in axes.patches if isinstance(part, FancyArrowPatch))
         tail, tip = np.array(arrow._posA_posB)  # type: ignore[attr-defined]
@@ -260,7 +260,7 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     for box in boxes:
         assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
         assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
-        assert sum(box.overlaps(other) for other in boxes) == 1  # itself
+        assert sum(box.overlaps(second_box) for second_box in boxes) == 1  # itself
     # The forces are vertical: from above, their arrows have no length.
     for axes, count in zip(figure.axes, (3, 0), strict=True):
         arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]

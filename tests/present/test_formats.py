@@ -97,7 +97,9 @@ def test_junit_cases_fail_unless_notice_or_in_the_baseline() -> None:
     root = ElementTree.fromstring(write_junit(found, "pupper-analysis audit a.urdf").encode())
     assert [suite.get("name") for suite in root] == ["pupper-analysis audit a.urdf"]
     (suite,) = root
-    assert [(one.get("tests"), one.get("failures")) for one in (root, suite)] == [("3", "1")] * 2
+    assert [(element.get("tests"), element.get("failures")) for element in (root, suite)] == [
+        ("3", "1")
+    ] * 2
     assert [(case.get("name"), len(case)) for case in suite] == [
         ("mass", 1),
         ("limit", 0),
@@ -124,7 +126,7 @@ PRINTABLE = st.text(
 @given(title=PRINTABLE, message=PRINTABLE)
 def test_junit_is_valid_xml_with_any_characters(title: str, message: str) -> None:
     root = ElementTree.fromstring(write_junit([Annotation("error", title, message)]).encode())
-    assert [one.get("name") for one in root.iter("testcase")] == [escape_control(title)]
+    assert [testcase.get("name") for testcase in root.iter("testcase")] == [escape_control(title)]
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"

@@ -524,7 +524,7 @@ def test_coarsened_meshes_keep_their_size() -> None:
     model = load("v3").mj_model
     shapes, whole_scene = collect_visible_shapes(model, int(model.mesh_facenum.sum()))
     coarse = collect_visible_shapes(
-        model, int(0.3 * sum(len(one.faces) for one in whole_scene.values()))
+        model, int(0.3 * sum(len(mesh.faces) for mesh in whole_scene.values()))
     )[1]
     assert {shape.mesh for shape in shapes} - {None} == set(whole_scene)
     for mesh in whole_scene:
@@ -648,7 +648,9 @@ def test_legend_of_a_page_has_the_symbols_of_the_plot() -> None:
     shown = Document(text("report"), Name("v3"), (LinePlot(Name("t"), axis, axis, series),))
     page = Page(write.render_page(Report(text("report"), (shown,))))
     keys = {
-        read_text(key).strip(): [(one.tag, one.get("class")) for one in key.iterdescendants()][1]
+        read_text(key).strip(): [
+            (descendant.tag, descendant.get("class")) for descendant in key.iterdescendants()
+        ][1]
         for key in page.root.xpath("//span[@class='key']")
     }
     assert keys == {
@@ -658,9 +660,12 @@ def test_legend_of_a_page_has_the_symbols_of_the_plot() -> None:
         "region": ("rect", "area"),
     }
     (drawing,) = page.root.xpath("//figure[@class='plot']/svg")
-    corners = {one.get("class"): len(one.get("points").split()) for one in drawing.iter("polygon")}
+    corners = {
+        polygon.get("class"): len(polygon.get("points").split())
+        for polygon in drawing.iter("polygon")
+    }
     assert corners == {"dot s1": 4, "dot s2": 3, "area": 3}
-    order = [one.get("class") for one in drawing.iter("polygon", "polyline")]
+    order = [polygon.get("class") for polygon in drawing.iter("polygon", "polyline")]
     assert order.index("area") < order.index("series s0")  # an area covers no line
 
 

@@ -370,7 +370,7 @@ def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Pa
     """Two robots: a link opens its section, and print opens all; a view appears once."""
     file = tmp_path / "two.html"
     both = [analysis(), replace(analysis(), name="other")]
-    rows = [compare_with_base(one, "v3", 1.0, None) for one in both]
+    rows = [compare_with_base(result, "v3", 1.0, None) for result in both]
     pa.report.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
     one = Opened(browser, file, viewport={"width": 1280, "height": 900})
     page = one.page

@@ -37,7 +37,7 @@ TABLE = Table(
     ),
     (text("objections"),),
 )
-MASS, SANK = (diagnostic_text(problem(one)) for one in ("mass 1 kg", "it sank"))
+MASS, SANK = (diagnostic_text(problem(message)) for message in ("mass 1 kg", "it sank"))
 PLACES = (FilePlace(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
 DOCUMENT = Document(
     text("stance"),

@@ -96,7 +96,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
 def test_report_of_a_stance_states_sag_and_height_once() -> None:
     """Two lines stated the sag, as 7.4 and 7.39 mm, and two the height of the base."""
     document = stance_document(stance())
-    lines = [get_english(one) for one in (*document.findings, *document.details)]
+    lines = [get_english(line_text) for line_text in (*document.findings, *document.details)]
     assert sum("settles" in line for line in lines) == 1
     assert sum("104.4 mm" in line for line in lines) == 1
 

@@ -93,8 +93,8 @@ def test_fingerprint_is_independent_of_line_and_numbers() -> None:
         return str(found["partialFingerprints"])
 
     assert print_of(place="a.urdf:9", message="too light", level="warning") == print_of()
-    for other in ({"title": "hip"}, {"place": "b.urdf:3"}, {"rule": "audit/com"}):
-        assert print_of(**other) != print_of()
+    for changed in ({"title": "hip"}, {"place": "b.urdf:3"}, {"rule": "audit/com"}):
+        assert print_of(**changed) != print_of()
 
 
 def test_commands_write_sarif(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_each_text_of_the_code_exists_and_gets_its_values() -> None:
     for module, node in made_calls():
         if getattr(node.func, "id", "") != "text" or not node.args:
             continue
-        given = {one.arg for one in node.keywords}
+        given = {keyword.arg for keyword in node.keywords}
         choices = [node.args[0]]
         while choices:
             one = choices.pop()

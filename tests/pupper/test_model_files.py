@@ -240,7 +240,9 @@ def read_number(element: ElementTree.Element, path: str, name: str) -> float:
 def test_limits_damping_and_friction_of_both_files_are_equal(base: str) -> None:
     """Reference: MuJoCo's compiled model; the URDF states 100 rad/s."""
     model = compile_model(f"{BASES[base]}.xml")
-    joints = [one for one in read_urdf_of(base).iter("joint") if one.attrib["type"] == "revolute"]
+    joints = [
+        joint for joint in read_urdf_of(base).iter("joint") if joint.attrib["type"] == "revolute"
+    ]
     assert len(joints) == 12
     for node in joints:
         joint, actuator = (kind(node.attrib["name"]) for kind in (model.joint, model.actuator))

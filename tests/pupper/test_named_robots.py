@@ -148,16 +148,16 @@ def test_contract_reads_the_files_of_a_scaled_variant(tmp_path: Path) -> None:
     found = read_contract("v3-long-leg", gains, stand=False)
     assert found.model == "v3-long-leg"
     assert len(found.findings) == len(expected.findings) > 0
-    assert [(one.quantity, one.value) for one in found.facts] == [
-        (one.quantity, one.value) for one in expected.facts
+    assert [(fact.quantity, fact.value) for fact in found.facts] == [
+        (fact.quantity, fact.value) for fact in expected.facts
     ]
-    assert [one.place for one in found.facts] == [
-        one.place.replace(f"{tmp_path.resolve()}/", "").replace(f"{tmp_path}/", "")
-        if "deploy" not in one.place
-        else one.place
-        for one in expected.facts
+    assert [fact.place for fact in found.facts] == [
+        fact.place.replace(f"{tmp_path.resolve()}/", "").replace(f"{tmp_path}/", "")
+        if "deploy" not in fact.place
+        else fact.place
+        for fact in expected.facts
     ]
-    assert sorted(one.path for one in found.sources) == sorted(
+    assert sorted(source.path for source in found.sources) == sorted(
         [str(gains), "mjcf/v3-long-leg.xml", "urdf/v3-long-leg.urdf"]
     )
 

@@ -92,7 +92,7 @@ def test_action_file_is_complete() -> None:
         used = f"${{{{ inputs.{name} }}}}"
         assert used in (ROOT / "action.yml").read_text(), f"{name} is not used"
     # An expression in a script would be code of whoever names a branch or a file.
-    assert not any("${{" in one["run"] for one in STEPS.values())
+    assert not any("${{" in step["run"] for step in STEPS.values())
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
     for file in (ROOT / "action.yml", *(ROOT / ".github/workflows").glob("*.yml")):
         used = re.findall(r"uses: (\S+)", file.read_text())
         assert used, file
-        assert all(one == "./" or re.search(r"@[0-9a-f]{40}$", one) for one in used), file
+        assert all(action == "./" or re.search(r"@[0-9a-f]{40}$", action) for action in used), file
     assert "--require-hashes" in STEPS["Install"]["run"]
     lock = (ROOT / ".github/requirements/check.lock").read_text()
     assert "://" not in lock
@@ -182,7 +182,7 @@ def test_fetched_actions_and_packages_are_pinned_by_hash() -> None:
         if not line.startswith("#"):
             wanted = Requirement(line)
             versions = pinned[wanted.name.lower()]
-            assert all(wanted.specifier.contains(one) for one in versions), line
+            assert all(wanted.specifier.contains(version) for version in versions), line
 
 
 def test_locked_requirements_equal_those_of_the_project() -> None:
@@ -302,7 +302,7 @@ def test_pre_commit_runs_the_hook(installed: Path, mass: str) -> None:
 def test_sample_uses_the_action_and_the_hook() -> None:
     workflow = read(SAMPLE / ".github" / "workflows" / "models.yml")
     steps = workflow["jobs"]["check"]["steps"]
-    assert [re.sub("@.*", "", one["uses"]) for one in steps] == [
+    assert [re.sub("@.*", "", job_step["uses"]) for job_step in steps] == [
         "actions/checkout",
         "OWNER/pupper_analysis",
     ]

@@ -37,9 +37,9 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     for path, tree in trees().items():
         name = f"pupper_analysis/{path}".removesuffix(".py").removesuffix("/__init__")
         graph[name.replace("/", ".")] = set(list_imports(tree))
-    for name, those in graph.items():
-        those.intersection_update(graph)
-        those -= {one for one in those if f"{name}.".startswith(f"{one}.")}
+    for name, imported in graph.items():
+        imported.intersection_update(graph)
+        imported -= {module for module in imported if f"{name}.".startswith(f"{module}.")}
     graphlib.TopologicalSorter(graph).prepare()
 
 
@@ -52,7 +52,7 @@ def test_number_of_packages_and_imports_is_bounded() -> None:
     assert loose == {"__init__.py", "__main__.py"}
     assert set(graph) == set(LAYERS)
     for folder, below in graph.items():
-        assert all(LAYERS[other] < LAYERS[folder] for other in below), folder
+        assert all(LAYERS[dependency] < LAYERS[folder] for dependency in below), folder
 
 
 def test_modules_contain_no_banners() -> None:
@@ -77,7 +77,7 @@ def test_commands_are_defined_in_the_command_modules_of_tools_only() -> None:
         for path, tree in trees().items()
         for node in tree.body
         if isinstance(node, ast.FunctionDef)
-        and any("shared.command(" in ast.unparse(one) for one in node.decorator_list)
+        and any("shared.command(" in ast.unparse(decorator) for decorator in node.decorator_list)
     }
     assert found == {f"tools/{name}/command.py" for name in own_tools()}
     with_format = {path.parent.name for path in drawing.PACKAGE.glob("tools/*/format.toml")}

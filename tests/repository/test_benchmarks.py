@@ -77,12 +77,12 @@ def test_commands_of_benchmarks_accept_the_names_of_their_parameters() -> None:
     for path in sorted((ROOT / "benchmarks").glob("*.py")):
         if "import click" not in path.read_text():
             continue
-        for top in {id(each): each for each in vars(benchmark(path.stem)).values()}.values():
+        for top in {id(value): value for value in vars(benchmark(path.stem)).values()}.values():
             for command in [top, *getattr(top, "commands", {}).values()]:
                 if not isinstance(command, click.Command) or command.callback is None:
                     continue
                 accepted = inspect.signature(command.callback).parameters
-                given = {each.name for each in command.params if each.expose_value}
+                given = {param.name for param in command.params if param.expose_value}
                 assert given == set(accepted), f"{path.name}: {command.name}"
                 tried += 1
     assert tried > 20
@@ -239,8 +239,8 @@ def test_ratio_of_1_3_times_the_recorded_one_fails_by_name(
             ratios,
             "measure_both",
             lambda _root, _record, _variant, names, times=times: (
-                {one: times[one] for one in names},
-                {one: recorded[one] for one in names},
+                {name: times[name] for name in names},
+                {name: recorded[name] for name in names},
             ),
         )
         assert benchmarks.check_ratios("v3") is (factor < ratios.MAX_SLOWDOWN)

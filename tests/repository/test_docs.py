@@ -460,7 +460,9 @@ def test_issue_form_requires_the_json_of_the_result() -> None:
     }
     for name, form in forms.items():
         assert name == "config.yml" or {"name", "description", "body"} <= form.keys()
-    (asked,) = [one for one in forms["wrong-answer.yml"]["body"] if one["id"] == "json"]
+    (asked,) = [
+        form_field for form_field in forms["wrong-answer.yml"]["body"] if form_field["id"] == "json"
+    ]
     assert "--json" in asked["attributes"]["description"]
     assert asked["validations"]["required"]
 
@@ -468,7 +470,9 @@ def test_issue_form_requires_the_json_of_the_result() -> None:
 def test_python_versions_of_the_classifiers_are_tested_on_both_systems() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     stated = [
-        one.rpartition(" ")[2] for one in project["classifiers"] if re.search(r":: 3\.\d", one)
+        classifier.rpartition(" ")[2]
+        for classifier in project["classifiers"]
+        if re.search(r":: 3\.\d", classifier)
     ]
     workflow = (ROOT / ".github/workflows/ci.yml").read_text()
     tested = re.search(r"python-version: \[(.+)\]", workflow)
@@ -477,7 +481,7 @@ def test_python_versions_of_the_classifiers_are_tested_on_both_systems() -> None
     assert systems is not None
     assert re.findall(r"[\d.]+", tested[1]) == stated
     assert project["requires-python"] == f">={stated[0]}"
-    assert [one.strip() for one in systems[1].split(",")] == ["ubuntu-latest", "macos-latest"]
+    assert [system.strip() for system in systems[1].split(",")] == ["ubuntu-latest", "macos-latest"]
 
 
 def test_python_code_of_pages_uses_public_names() -> None:

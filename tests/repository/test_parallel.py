@@ -50,7 +50,7 @@ def all_errors() -> list[type[pa.PupperAnalysisError]]:
             importlib.import_module(module.name)
 
     def below(kind: type[pa.PupperAnalysisError]) -> list[type[pa.PupperAnalysisError]]:
-        return [kind, *(each for sub in kind.__subclasses__() for each in below(sub))]
+        return [kind, *(subclass for sub in kind.__subclasses__() for subclass in below(sub))]
 
     return sorted(
         (
@@ -86,10 +86,10 @@ def test_each_error_is_equal_after_pickling(
     attributes.pop("at", None)
     error = kind.__new__(kind, message)
     vars(error).update(attributes)
-    for one in (error, error.with_location("there")):
-        back = copied(one)
+    for raised in (error, error.with_location("there")):
+        back = copied(raised)
         assert type(back) is kind
-        assert (back.args, vars(back), str(back)) == (one.args, vars(one), str(one))
+        assert (back.args, vars(back), str(back)) == (raised.args, vars(raised), str(raised))
 
 
 # -------------------------------------------------------------------------------------- robots

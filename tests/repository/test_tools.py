@@ -74,9 +74,9 @@ def copy_without(tools: Iterable[str], checkout: Path, folder: Path) -> Path:
     """Link the files of a checkout, except some tools and their dependents; return the folder."""
     copy = folder / "checkout"
     shutil.copytree(checkout, copy, copy_function=os.link)
-    for one in dependents(tools):
-        shutil.rmtree(copy / "pupper_analysis/tools" / one)
-        shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)
+    for importer in dependents(tools):
+        shutil.rmtree(copy / "pupper_analysis/tools" / importer)
+        shutil.rmtree(copy / "tests/tools" / importer, ignore_errors=True)
     return copy
 
 

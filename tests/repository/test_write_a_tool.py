@@ -42,7 +42,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the tool of the page."""
     stated = tomllib.loads(PARTS["pyproject.toml"])
     data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
-    files = {name: PARTS[name] for one in ("*.py", *data) for name in fnmatch.filter(PARTS, one)}
+    files = {
+        name: PARTS[name] for pattern in ("*.py", *data) for name in fnmatch.filter(PARTS, pattern)
+    }
     return install(tmp_path_factory.mktemp("site"), "inertia_tool", files, PARTS["pyproject.toml"])
 
 
@@ -155,7 +157,9 @@ def test_a_metric_without_a_meaning_is_listed_by_its_name(tmp_path: Path) -> Non
     """``study --list-metrics`` ended in KeyError as soon as such a package was installed."""
     stated = tomllib.loads(PARTS["pyproject.toml"])
     data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
-    files = {name: PARTS[name] for one in ("*.py", *data) for name in fnmatch.filter(PARTS, one)}
+    files = {
+        name: PARTS[name] for pattern in ("*.py", *data) for name in fnmatch.filter(PARTS, pattern)
+    }
     files |= {"metrics.py": METRICS}
     site = tmp_path / "site"
     site.mkdir()

@@ -64,7 +64,7 @@ def test_leg_with_a_misplaced_calf_is_reported_and_the_verdict_fails(tmp_path: P
     assert not verdict.passed
     assert verdict.remarks[0] == message
     converted = pa.convert_model(path, tmp_path / "slipped.xml")
-    assert message.code in {one.code for one in converted.failures}
+    assert message.code in {failure.code for failure in converted.failures}
     assert not converted.passed
     assert pa.convert_model(write_standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 

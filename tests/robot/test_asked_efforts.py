@@ -121,7 +121,7 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
     path.write_text(re.sub(f'effort="({efforts})"', 'effort="2000"', arm.URDF))
     robot = pa.load_robot(path)
     verdict = pa.hold_posture(robot).verdict
-    (message,) = [one for one in verdict.remarks if "effort" in one.code]
+    (message,) = [remark for remark in verdict.remarks if "effort" in remark.code]
     assert message.code == "rests-on-placeholder-efforts"
     assert any(
         str(message) in str(line) for line in split_verdict_lines(verdict)[0]
@@ -129,7 +129,7 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
     assert sorted(message.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
     requested = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
     held = pa.hold_posture(requested)
-    assert not [one for one in held.verdict.remarks if "effort" in one.code]
+    assert not [remark for remark in held.verdict.remarks if "effort" in remark.code]
     assert held.payload.worst_posture_mass is not None
     assert held.payload.worst_posture_mass < 3.0  # kg: 9 N m at 0.4 m; hundreds by 2000 N m
 

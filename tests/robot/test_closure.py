@@ -72,7 +72,9 @@ def hinge_rods(pair: Pair) -> Pair:
             f'"1e-5 1e-5 1e-5"/><joint name="{leg}_end" axis="0 1 0" range="-3 3"/></body>'
         )
         rod.append(ElementTree.fromstring(eye))
-        equality.remove(next(each for each in equality if each.get("body1") == f"{leg}_rod"))
+        equality.remove(
+            next(constraint for constraint in equality if constraint.get("body1") == f"{leg}_rod")
+        )
         weld = f'<weld body1="{leg}_eye" body2="{leg}_calf" solref="0.005 1"/>'
         equality.append(ElementTree.fromstring(weld))
     pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
@@ -211,7 +213,7 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     for height in (0.33606829, 0.3):
         with pytest.raises(pa.StanceUnreachableError) as refused:
             pa.solve_stand(robot, pa.StandTask(height=height), explain=False)
-        assert [one.code for one in refused.value.blocked] == ["motors-at-dead-point"]
+        assert [obstacle.code for obstacle in refused.value.blocked] == ["motors-at-dead-point"]
         assert bool(refused.value.shortfall) is (height < 0.33)
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(robot, pa.StandTask(height=0.42), explain=False)
@@ -259,7 +261,7 @@ def test_nearest_configuration_satisfies_the_loop_closure(tmp_path: Path) -> Non
     stand = pa.solve_stand(robot)
     there = replace(stand, foot_error=0.03)
     message = explain_refusal(context, compute_targets(robot, None, {}), there, explain=False)
-    assert [one.code for one in message.blocked] == ["loops-stay-open"]
+    assert [obstacle.code for obstacle in message.blocked] == ["loops-stay-open"]
 
 
 @pytest.mark.slow
@@ -476,8 +478,8 @@ def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
     assert not mode.shakes
     task = pa.StandTask(height=stand.task.height)
     wanted, torques = (
-        pa.stance.stand_statics(each, pa.solve_stand(each, task)).joint_torques
-        for each in (one, two)
+        pa.stance.stand_statics(variant, pa.solve_stand(variant, task)).joint_torques
+        for variant in (one, two)
     )
     for name in (f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "motor")):
         assert joint_value(two, torques, name) == pytest.approx(

@@ -79,7 +79,7 @@ def test_a_table_is_not_part_of_the_centre_of_mass(tmp_path: Path) -> None:
     """The URDF has no table; with its 5 kg, the MJCF's centre of mass was another one."""
     table = '<body name="table" pos="1 0 0.1"><geom type="box" size="1 1 0.01" mass="5"/></body>'
     comparison = pa.compare_models(*write_scene(tmp_path, PLANE + "/>" + table))
-    assert not [one for one in comparison.differences if one.kind != "effort"]
+    assert not [difference for difference in comparison.differences if difference.kind != "effort"]
     assert comparison.deviations["com"] < 1e-9
     assert not [note for note in comparison.notes if "engines differ" in str(note)]
 
@@ -109,7 +109,7 @@ def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
     assert any(note.severity is Severity.WARNING for note in notes) is is_tilted
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
-        seen, known = (verify_stand_on_scene(one, **task) for one in (robot, plain))
+        seen, known = (verify_stand_on_scene(scene, **task) for scene in (robot, plain))
         assert seen.joint_torques == pytest.approx(known.joint_torques, abs=1e-6)
         assert robot.contacts == plain.contacts
 
@@ -255,14 +255,14 @@ def test_motion_on_converted_pairs_equals_that_of_the_unmodified_file(tmp_path: 
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     draw, touched = np.random.default_rng(3), 0
     data = [mujoco.MjData(model) for model in models]
-    for one in data:
-        one.qpos[2], one.qpos[3] = robot.stand_height + 0.02, 1.0
-        one.qpos[7:] = robot.mj_model.key_qpos[0][7:]
+    for state in data:
+        state.qpos[2], state.qpos[3] = robot.stand_height + 0.02, 1.0
+        state.qpos[7:] = robot.mj_model.key_qpos[0][7:]
     for _ in range(800):
         forces = 0.5 * draw.normal(size=robot.nv - 6)
-        for model, one in zip(models, data, strict=True):
-            one.qfrc_applied[6:] = forces
-            mujoco.mj_step(model, one)
+        for model, state in zip(models, data, strict=True):
+            state.qfrc_applied[6:] = forces
+            mujoco.mj_step(model, state)
         touched += data[0].ncon
         np.testing.assert_allclose(data[0].qpos, data[1].qpos, atol=1e-9)
     assert touched > 400

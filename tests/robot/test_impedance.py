@@ -83,8 +83,8 @@ def test_constraint_compliance_does_not_depend_on_the_configuration(kind: str) -
         mujoco.mj_forward(model, data)
         found.append(EqualityCompliance(model, data).solve_violations(np.full(data.nefc, 2.0)))
     # A weld's and a connect's A depend on the configuration; along this way they stay.
-    for other in found[1:]:
-        np.testing.assert_allclose(other, found[0], rtol=1e-9)
+    for impedance in found[1:]:
+        np.testing.assert_allclose(impedance, found[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -110,7 +110,7 @@ def test_contact_softness_under_a_payload_equals_that_of_mujoco() -> None:
     """Reference: `efc_diagA` of MuJoCo; the payload changes the inverse weight of the foot."""
     robot, loaded = load("v3"), with_payload(load("v3"), 5.0)
     foot = robot.contact_places["FR"][0]
-    light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
+    light, heavy = (float(model.mj_model.body_invweight0[foot, 0]) for model in (robot, loaded))
     assert heavy < light
     _, stand = solve_loaded_stand(robot, pa.StandTask(), 5.0, (0.0, 0.0, 0.0))
     data = evaluate_mujoco(loaded, stand.qpos)

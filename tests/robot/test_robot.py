@@ -119,7 +119,7 @@ def test_foot_that_one_file_names_is_sufficient(
     mjcf = TINY_MJCF.replace('site name="foot"', f'site name="{mjcf_foot}"')
     robot = load_files(write(tmp_path, urdf, mjcf))
     qpos = np.concatenate([[0.1, 0.2, 0.3, 1, 0, 0, 0], [0.1, -0.2, 0.3]])
-    places = [pa.Configuration(each, qpos).foot_positions()["foot"] for each in (whole, robot)]
+    places = [pa.Configuration(model, qpos).foot_positions()["foot"] for model in (whole, robot)]
     np.testing.assert_allclose(*places, atol=1e-9)
 
 

@@ -75,8 +75,8 @@ def test_copied_configuration_keeps_its_values(any_robot: pa.Robot) -> None:
     del config
     gc.collect()
     others = [pa.Configuration(any_robot, *random_state(any_robot, seed)) for seed in range(3)]
-    for other in others:
-        evaluate_quantities(other, order)
+    for other_config in others:
+        evaluate_quantities(other_config, order)
     assert_equal_quantities(evaluate_quantities(twin, order), before)
 
 

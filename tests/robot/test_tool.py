@@ -35,9 +35,12 @@ def test_payload_on_a_link_adds_the_torque_of_virtual_work_in_both_models(frame:
     for way in (step, -step):
         moved = np.tile(qpos, (robot.nu, 1))
         moved[:, 7:] += way * np.eye(robot.nu)
-        placed = [Configuration(robot, one) for one in moved]
+        placed = [Configuration(robot, qpos) for qpos in moved]
         heights.append(
-            [(one.frame_position(link) + one.frame_rotation(link) @ place)[2] for one in placed]
+            [
+                (config.frame_position(link) + config.frame_rotation(link) @ place)[2]
+                for config in placed
+            ]
         )
     rises = (np.array(heights[0]) - heights[1]) / (2 * step)
     added = Configuration(loaded, qpos).static_load() - Configuration(robot, qpos).static_load()
@@ -90,7 +93,7 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
     once = with_payload(robot, 2.0, POINT)
     qpos, _ = random_state(robot, 3)
-    one, two = (pa.Configuration(each, qpos).mass_matrix() for each in (once, twice))
+    one, two = (pa.Configuration(model, qpos).mass_matrix() for model in (once, twice))
     np.testing.assert_allclose(two, one, atol=1e-12)
 
 
@@ -190,8 +193,8 @@ def test_a_place_in_a_named_frame_is_along_the_axes_of_this_frame(
     expected = position + rotation @ offset
     loaded = with_payload(robot, mass, (frame, *offset))
     moments = [
-        Configuration(each, each.neutral()).center_of_mass() * each.total_mass
-        for each in (robot, loaded)
+        Configuration(model, model.neutral()).center_of_mass() * model.total_mass
+        for model in (robot, loaded)
     ]
     np.testing.assert_allclose(moments[1] - moments[0], mass * expected, atol=1e-9)
     loaded_data = mujoco.MjData(loaded.mj_model)

@@ -90,7 +90,9 @@ def test_faults_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) 
     """Reference: faults of single legs and keyframes, read by hand in the MJCF."""
     result = audit_model(file(MJCF, f"{name}/{name}.xml"))
     assert result.passed
-    assert {one.rule for one in result.findings if one.severity == Severity.WARNING} == expected
+    assert {
+        finding.rule for finding in result.findings if finding.severity == Severity.WARNING
+    } == expected
 
 
 FLIPPED = "com y flipped"  # an offset of 1 to 3 cm, in shapes that do not show the side

@@ -143,7 +143,7 @@ def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
                 0, abs=1e-9
             )
     found = pa.verify_stand(of, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < within
     assert found.force_error < within
 
@@ -169,7 +169,7 @@ def test_g1_hangs_back_on_a_ladder() -> None:
     for palm in ("left_palm", "right_palm"):
         assert statics.weld_wrenches[palm][2] < -30.0  # N
     found = pa.verify_stand(g1, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < EXACT
     assert found.force_error < EXACT
     bar = pa.Contact(pa.Bar((0, 0, 0.1), (0, 1, 0), 0.01))

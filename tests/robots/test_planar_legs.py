@@ -110,7 +110,7 @@ def test_creep_on_a_slope_equals_the_friction_law_of_mujoco(tmp_path: Path) -> N
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))
     seen = pa.verify_stand(robot, stand)
     assert not seen.passed
-    reason = next(one for one in seen.failures if one.code == "foot-creeps")
+    reason = next(failure for failure in seen.failures if failure.code == "foot-creeps")
     speed = reason.values["speed"].value
     assert -seen.height_drift == pytest.approx(speed * np.sin(0.25), rel=1e-3)
     assert "impratio" in str(reason)

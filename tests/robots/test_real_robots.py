@@ -148,7 +148,11 @@ def test_remaining_differences_of_mini_cheetah_are_damping_friction_and_efforts(
     assert "dry friction (0.2 N m on 12 joints) is only in the MJCF" in notes
     assert elements(comparison, "effort") == JOINTS
     assert len(comparison.differences) == 3 + 12
-    assert {one.mjcf for one in comparison.differences if one.kind == "effort"} == {23.7, 45.43}
+    assert {
+        effort_difference.mjcf
+        for effort_difference in comparison.differences
+        if effort_difference.kind == "effort"
+    } == {23.7, 45.43}
 
 
 def test_effect_of_the_base_of_mini_cheetah_is_its_excess_weight() -> None:
@@ -173,7 +177,11 @@ def test_old_urdf_of_mini_cheetah_has_other_thighs() -> None:
 def test_go1_lacks_the_hip_motors_rotors() -> None:
     """The URDF has a rotor of 0.089 kg per motor; the MJCF contains 8 of 12 rotors, in the legs."""
     comparison = comparison_of("go1")
-    first = next(one for one in comparison.differences if one.kind == "mass")
+    first = next(
+        mass_difference
+        for mass_difference in comparison.differences
+        if mass_difference.kind == "mass"
+    )
     assert (first.element, first.mjcf) == ("base", 5.204)
     rest = 1e-6 + 0.001 + 8e-5  # the root link, the IMU, cameras and sonars
     assert first.urdf == pytest.approx(5.204 + 4 * 0.089 + rest, abs=1e-12)
@@ -468,7 +476,7 @@ def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
     arm. Two files lack collision meshes.
     """
     found = pa.convert_model(file(*CONVERTED[name]), tmp_path / "new.xml")
-    lost = [one.code for one in found.failures]
+    lost = [failure.code for failure in found.failures]
     assert set(lost) == ({"collision-meshes-lost"} if name in LOST else set()), found.failures
     assert found.comparison.differences == ()
     assert (found.verification is None) == name.startswith("panda")
@@ -497,9 +505,11 @@ def test_stand_names_links_that_push_on_each_other() -> None:
     for elbow, pairs in ((0.0, set()), (np.radians(60), {"left", "right"})):
         stand = pa.solve_stand(robot, pa.StandTask(posture={"*elbow*": float(elbow)}))
         found = pa.verify_stand(robot, stand, duration=4.0)
-        values = {one.code: one for one in found.failures}
+        values = {failure.code: failure for failure in found.failures}
         assert ("parts-touch" in values) is bool(pairs)
-        touching = [one.values["bodies"] for one in found.failures if one.code == "parts-touch"]
+        touching = [
+            failure.values["bodies"] for failure in found.failures if failure.code == "parts-touch"
+        ]
         assert set(touching) == {
             (f"{side}_hip_yaw_link", f"{side}_wrist_yaw_link") for side in pairs
         }

@@ -75,7 +75,7 @@ def test_share_of_the_pulses_increases_with_the_motion_of_the_ground() -> None:
         states[::2, 3] += way
         states[1::2, 3] -= way
         found = find_chatter(robot, drive, states, ctrl)
-        shares.append(sum(float(one.values["share"]) for one in found))
+        shares.append(sum(float(cause.values["share"]) for cause in found))
     assert shares[:2] == [0.0, 0.0]
     assert 0.1 < shares[2] < 0.9
     assert shares[3] > 1.5 * shares[2]

@@ -33,8 +33,10 @@ def test_bounds_contain_the_gains_of_v3() -> None:
     assert bounds.uniform
     assert bound_explicit_damping(robot, stand) == bounds.largest_kd_factor
     assert bounds.holding_kp_factor is None
-    assert [one.name for one in bounds.classes] == ["leg_*_1", "leg_*_2", "leg_*_3"]
-    assert all(one.least_kp == pytest.approx(least, rel=0.01) for one in bounds.classes)
+    assert [joint_class.name for joint_class in bounds.classes] == ["leg_*_1", "leg_*_2", "leg_*_3"]
+    assert all(
+        joint_class.least_kp == pytest.approx(least, rel=0.01) for joint_class in bounds.classes
+    )
     most = bounds.classes[0].largest_kd
     assert most is not None
     assert 2.5 < most < 3.0
@@ -64,7 +66,7 @@ def test_servos_without_damping_have_no_largest_damping() -> None:
     stand = pa.solve_stand_as_simulated(robot)
     bounds = bound_servo_gains(robot, stand, kp=5.0, kd=0.0)
     assert bounds.largest_kd_factor is None
-    assert all(one.largest_kd is None for one in bounds.classes)
+    assert all(joint_class.largest_kd is None for joint_class in bounds.classes)
 
 
 def simulate_in_bare_mujoco(robot: pa.Robot, stand: pa.Stand, kp: np.ndarray) -> float:

@@ -228,8 +228,8 @@ def test_verification_fails_if_motors_cannot_give_the_torque() -> None:
     weak.mj_model.actuator_forcerange[:] = [-0.3, 0.3]
     result = pa.verify_stand(weak, stand)
     assert not result.passed
-    assert any(one.code == "joint-off" for one in result.failures)
-    assert any(one.code == "motor-torque-off" for one in result.failures)
+    assert any(failure.code == "joint-off" for failure in result.failures)
+    assert any(failure.code == "motor-torque-off" for failure in result.failures)
     assert np.abs(result.joint_torques).max() <= 0.3 + 1e-9
 
 
@@ -671,5 +671,7 @@ def test_forces_that_do_not_balance_or_are_no_number_are_reported(
     residual: float, named: bool
 ) -> None:
     robot = pa.load_variant("v3")
-    codes = [one.code for one in describe_model_mismatch(robot, residual, robot.usual_weight)]
+    codes = [
+        message.code for message in describe_model_mismatch(robot, residual, robot.usual_weight)
+    ]
     assert codes == ["files-of-two-robots"] * named

@@ -40,7 +40,9 @@ def test_refusal_of_a_com_margin_states_its_limit() -> None:
     task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
     error = get_refusal(robot, task)
     assert error.shortfall == {}
-    assert [str(one) for one in error.blocked] == ["the CoM is 31.3 mm inside the support polygon"]
+    assert [str(obstacle) for obstacle in error.blocked] == [
+        "the CoM is 31.3 mm inside the support polygon"
+    ]
     assert "CoM in the support polygon (margin >= 40 mm)" in str(error)
     assert set(error.limits) == {"offset", "com_margin"}
     for name, limit in error.limits.items():
@@ -99,7 +101,9 @@ def test_refusal_of_a_com_outside_of_the_feet_limits_the_offset_alone() -> None:
     """No margin of at least zero is met: the refusal states no limit of the CoM margin."""
     task = pa.StandTask(offset=(0.11, 0.0), com_margin=0.01, height=0.12)
     error = get_refusal(load("v3"), task)
-    assert [str(one) for one in error.blocked] == ["the CoM is 25.9 mm outside the support polygon"]
+    assert [str(obstacle) for obstacle in error.blocked] == [
+        "the CoM is 25.9 mm outside the support polygon"
+    ]
     assert set(error.limits) == {"offset"}
 
 

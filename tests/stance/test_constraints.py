@@ -68,16 +68,20 @@ def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, f
     qpos[7:] += random.uniform(-0.2, 0.2, 12)
     velocity = random.normal(size=robot.nv)
     seen = set()
-    for one in make_constraints(shapes, targets):
-        if one.is_presatisfied:  # fulfilled by each configuration of the search
+    for constraint in make_constraints(shapes, targets):
+        if constraint.is_presatisfied:  # fulfilled by each configuration of the search
             continue
         ends = [
-            one.residual(targets, shapes.move_to(integrate_motion(robot, qpos, velocity, time)))
+            constraint.residual(
+                targets, shapes.move_to(integrate_motion(robot, qpos, velocity, time))
+            )
             for time in (1e-6, -1e-6)
         ]
-        rates = one.jacobian(targets, pa.Configuration(robot, qpos)) @ velocity
-        np.testing.assert_allclose(rates, (ends[0] - ends[1]) / 2e-6, atol=2e-3, err_msg=one.name)
-        seen.add(one.name)
+        rates = constraint.jacobian(targets, pa.Configuration(robot, qpos)) @ velocity
+        np.testing.assert_allclose(
+            rates, (ends[0] - ends[1]) / 2e-6, atol=2e-3, err_msg=constraint.name
+        )
+        seen.add(constraint.name)
     assert len(seen) == (5 if com == "inside" else 6)
 
 

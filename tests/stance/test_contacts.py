@@ -86,7 +86,7 @@ def test_mujoco_holds_a_stand_on_a_roof() -> None:
         assert plane.signed_distance(point) == pytest.approx(0, abs=1e-12)
         np.testing.assert_allclose(stand.normals[foot], plane.normal, atol=1e-15)
     found = pa.verify_stand(robot, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < 1e-6
     assert found.force_error < 1e-6
 
@@ -119,7 +119,7 @@ def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
     """Reference: simulations with and without feed-forward."""
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table(0.6), com=com))
     found = pa.verify_stand(armed, stand, integrator="implicitfast")
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < 1e-6
     assert found.force_error < 1e-6
     assert found.predicted_forces[HAND][2] > 5.0  # N
@@ -325,7 +325,7 @@ def test_soles_and_hand_balance_on_separate_planes(tmp_path: Path) -> None:
     contact = pa.Contact(pa.Plane((0, 0, TABLE), (0, 0, 1), 0.6), place=(0.45, 0.0, TABLE))
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts={HAND: contact}))
     found = pa.verify_stand(robot, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < 1e-6
     assert list(found.predicted_forces) == [*robot.feet, HAND]
     alone = pa.verify_stand(robot, stand, feedforward=False)
@@ -522,7 +522,7 @@ def test_foot_on_a_bar_touches_its_top_or_the_stated_place(radius: float, lean: 
         np.testing.assert_allclose(abs(step.rotation[:, 2] @ bar.direction), 1, rtol=1e-9)
         np.testing.assert_allclose(step.half[:2], radius, rtol=1e-9)
     found = pa.verify_stand(robot, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     if not lean:
         assert found.torque_error < 1e-6
         assert found.force_error < 1e-6

@@ -64,7 +64,7 @@ def test_field_table_contains_each_field_of_task_and_ground() -> None:
     of = {"task": pa.StandTask, "ground": pa.Ground}
     for part, kind in of.items():
         # Fields without an entry: the ground itself, the initial guess, and the planes of contacts.
-        own = {one.name for one in fields(kind)} - {"ground", "ik_seed", "_planes"}
+        own = {field.name for field in fields(kind)} - {"ground", "ik_seed", "_planes"}
         assert own == {field.name for field in FIELDS.values() if field.part == part}
     usual = pa.StandTask().values()
     assert usual == {name: field.default_value for name, field in FIELDS.items()}
@@ -198,7 +198,7 @@ def test_examples_of_options_are_in_mm_or_degrees() -> None:
             assert "(rad" not in text, option.name
             if unit in units:
                 example = text.partition("e.g. ")[2]
-                assert any(one in example for one in units[unit]), option.name
+                assert any(unit_text in example for unit_text in units[unit]), option.name
 
 
 def test_text_of_a_task_states_a_requested_position_of_the_com() -> None:

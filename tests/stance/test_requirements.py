@@ -77,8 +77,8 @@ def test_reset_of_one_requirement_keeps_the_other_requirements(requirement: str)
     """
     robot = load("v3")
     without = reset_to_nominal(robot, TASK, [requirement])
-    for other in set(RELAXABLE_REQUIREMENTS) - {requirement}:
-        assert getattr(without, other) == getattr(TASK, other)
+    for kept in set(RELAXABLE_REQUIREMENTS) - {requirement}:
+        assert getattr(without, kept) == getattr(TASK, kept)
     expected = {
         "height": robot.stand_height,
         "roll": 0.0,

@@ -58,7 +58,7 @@ def test_mujoco_holds_a_stand_between_two_planes(
     robot = load(name)
     stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
     found = pa.verify_stand(robot, stand)
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < 1e-5
     assert found.force_error < 1e-5
     statics = pa.stance.stand_statics(robot, stand)

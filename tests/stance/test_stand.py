@@ -133,7 +133,7 @@ def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> N
         return
     if refusal.blocked:  # the feet are in place, but another part is in the ground
         assert not refusal.shortfall
-        assert all(one.code == "part-in-ground" for one in refusal.blocked)
+        assert all(obstacle.code == "part-in-ground" for obstacle in refusal.blocked)
         return
     assert refusal.shortfall
     assert all(1e-9 <= gap < 1 for gap in refusal.shortfall.values())

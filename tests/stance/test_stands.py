@@ -118,7 +118,7 @@ def test_joint_limits_that_change_between_calls_are_obeyed() -> None:
 def test_stand_sequence_equals_single_calls_in_fewer_iterations(name: str) -> None:
     robot = load(name)
     tasks = wave(robot, 20)
-    found, singles = pa.solve_stands(robot, tasks), [pa.solve_stand(robot, one) for one in tasks]
+    found, singles = pa.solve_stands(robot, tasks), [pa.solve_stand(robot, task) for task in tasks]
     for one, other in zip(found, singles, strict=True):
         assert_same(one, other)
     assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)

@@ -94,7 +94,7 @@ def press_under_ceiling(of: pa.Robot) -> pa.StandTask:
 def verify_in_mujoco(robot: pa.Robot, stand: pa.Stand) -> pa.StandVerification:
     """Assert that MuJoCo holds a stand, with relative torque and force errors below 1e-6."""
     found = pa.verify_stand(robot, stand, integrator="implicitfast")
-    assert found.passed, [str(one) for one in found.failures]
+    assert found.passed, [str(failure) for failure in found.failures]
     assert found.torque_error < 1e-6
     assert found.force_error < 1e-6
     assert found.mujoco_residual < 1e-9
@@ -273,7 +273,7 @@ def test_gripping_hand_pulls_if_the_com_is_beyond_the_feet(armed: pa.Robot) -> N
     np.testing.assert_allclose(data.efc_force[rows], pull[:3], atol=1e-6 * np.linalg.norm(pull))
     np.testing.assert_allclose(found.foot_forces["hand"], data.efc_force[rows], atol=1e-6)
     np.testing.assert_array_equal(found.predicted_forces["hand"], pull[:3])
-    drawn = {one.foot: one for one in describe_scene(armed, stand, statics).contacts}
+    drawn = {contact.foot: contact for contact in describe_scene(armed, stand, statics).contacts}
     np.testing.assert_array_equal(drawn["hand"].force, pull[:3])
     place = pa.Configuration(robot, stand.qpos).foot_positions()["hand"]
     np.testing.assert_allclose(drawn["hand"].point, place, atol=1e-9)
@@ -350,7 +350,7 @@ def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot
     robot = stand.check(armed)
     corners = tuple(map(tuple, stand.corners(robot).tolist()))
     points = np.vstack([*stand.contact_points.values(), stand.foot_targets["hand"]])
-    mu = np.array([robot.contacts[one].sliding_friction for one in stand.stance_feet])
+    mu = np.array([robot.contacts[foot].sliding_friction for foot in stand.stance_feet])
     ends, weight = np.array(corners), robot.weight
     low, high = ends.min(axis=0), ends.max(axis=0)
     tried = {True: 0, False: 0}
@@ -365,7 +365,7 @@ def test_com_region_with_a_grip_equals_a_search_by_cone_programs(armed: pa.Robot
         cones[4 * number + 3] = 0.0
     most = np.zeros(4 * count)
     most[4 * len(mu)] = 10.0 / weight
-    rows = np.vstack([np.tile(np.eye(3), count), np.hstack([pin.skew(one) for one in points])])
+    rows = np.vstack([np.tile(np.eye(3), count), np.hstack([pin.skew(point) for point in points])])
     for x, y in np.random.default_rng(0).uniform(low - 0.05, high + 0.05, (1000, 2)):
         margin = margin_of_position((float(x), float(y)), corners)
         if abs(margin) < 0.01 * float((high - low).max()):
@@ -477,7 +477,7 @@ def test_payload_of_a_welded_arm_equals_the_fixed_base_result(arm: pa.Robot) -> 
     config = pa.Configuration(held, most.stand.qpos[7:])
     empty = pa.gravity_compensation(config, contacts=[]).joint_torques
     lever = np.abs(find_tool(held, "wrist").translated((0, 0, 0.05)).load_per_mass(config))
-    own = min((40.0 - abs(empty[one])) / lever[one] for one in range(2))
+    own = min((40.0 - abs(empty[row])) / lever[row] for row in range(2))
     assert most.motors.mass == pytest.approx(own, rel=1e-5)
     assert most.passed
 
@@ -497,7 +497,9 @@ def test_welded_arm_has_the_verdict_and_document_of_a_stand(arm: pa.Robot, *, al
     shown_force = [float(cell) for cell in row.split("|")[2:5]]
     assert shown_force == pytest.approx(wrench[:3], abs=6e-4)
     moment = shown.split("an additional moment of ")[1].split(" N m")[0]
-    assert [float(one) for one in moment.split()] == pytest.approx(wrench[3:], rel=1e-3, abs=1e-3)
+    assert [float(component) for component in moment.split()] == pytest.approx(
+        wrench[3:], rel=1e-3, abs=1e-3
+    )
 
 
 def test_welds_are_equal_after_text_and_json_round_trips() -> None:

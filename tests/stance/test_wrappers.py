@@ -132,9 +132,11 @@ def test_a_wrapper_in_use_is_not_given_to_another_user() -> None:
     held = [PooledPlacoRobot(robot) for _ in range(3)]
     held.clear()  # the pool is not empty
     held = [PooledPlacoRobot(robot) for _ in range(3)]
-    assert len({id(one.wrapper) for one in held}) == 3
+    assert len({id(placo_robot.wrapper) for placo_robot in held}) == 3
     context = SearchContext(robot)
-    assert all(context.solver.placo_robot.wrapper is not one.wrapper for one in held)
+    assert all(
+        context.solver.placo_robot.wrapper is not placo_robot.wrapper for placo_robot in held
+    )
     first = held[0].wrapper
     del held[0]
     assert PooledPlacoRobot(robot).wrapper is first

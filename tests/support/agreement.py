@@ -373,9 +373,9 @@ def _compare_workspace(found: Agreement, run: Commands, *, typed: bool) -> None:
                     continue  # it is searched no further
                 if name == "height" and typed:
                     asked = [
-                        one
-                        for one in _format_task_options(start)
-                        if not one.startswith("--height=")
+                        option
+                        for option in _format_task_options(start)
+                        if not option.startswith("--height=")
                     ]
                     stood, _ = run("stand", f"--height={there!r}", *asked)
                     reached = "out of reach" not in stood.stderr

@@ -168,8 +168,10 @@ def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
         model.appendBodyToJoint(index[name], parameters.bodies[name].spatial_inertia, still)
     offset = 6 if parameters.floating else 0
     joints = [parameters.joints[name] for name in order]
-    for one in (one for one in JOINT_ATTRIBUTES if one.pinocchio):
-        getattr(model, one.pinocchio)[offset:] = [getattr(joint, one.field) for joint in joints]
+    for attribute in (parameter for parameter in JOINT_ATTRIBUTES if parameter.pinocchio):
+        getattr(model, attribute.pinocchio)[offset:] = [
+            getattr(joint, attribute.field) for joint in joints
+        ]
     model.damping[:offset] = parameters.base_damping
     model.armature[:offset] = parameters.base_armature
     for name, (body, position) in parameters.frames.items():

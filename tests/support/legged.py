@@ -179,7 +179,7 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
         on: Link that carries the arm.
     """
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
-    link, body = on, next(one for one in mjcf.iter("body") if one.get("name") == on)
+    link, body = on, next(body for body in mjcf.iter("body") if body.get("name") == on)
     motors = mjcf.find("actuator")
     assert motors is not None
     for joint, axis, place in ARM:

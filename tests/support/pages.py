@@ -143,9 +143,10 @@ def blocks_of(page: Path) -> list[Block]:
     if "zh" in page.parts and (twin := find_english_page(page)).exists():
         theirs = {block.text: "".join(block.output) for block in blocks_of(twin)}
         return [
-            one
-            for one in found
-            if one.text not in theirs or find_missing_lines("".join(one.output), theirs[one.text])
+            block
+            for block in found
+            if block.text not in theirs
+            or find_missing_lines("".join(block.output), theirs[block.text])
         ]
     return found
 
@@ -279,7 +280,7 @@ def find_missing_lines(shown: str, printed: str) -> list[str]:
     def is_printed(line: str) -> bool:
         parts = [re.escape(" ".join(part.split())) for part in line.split("...")]
         pattern = r"\s*.*?\s*".join(parts)
-        return any(re.fullmatch(pattern, one) for one in lines)
+        return any(re.fullmatch(pattern, line) for line in lines)
 
     wanted = [line for line in shown.splitlines() if line.strip(" ─")]
     return [line for line in wanted if not is_printed(line)]

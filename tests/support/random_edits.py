@@ -207,12 +207,12 @@ def edit_structure(
 def _change_number(element: Element, random: np.random.Generator) -> str:
     """Change one number of an element or of its descendants; return the tag and the attribute."""
     having = [
-        (each, word)
-        for each in element.iter()
-        if isinstance(each.tag, str)
-        for word, text in each.items()
+        (descendant, word)
+        for descendant in element.iter()
+        if isinstance(descendant.tag, str)
+        for word, text in descendant.items()
         if word not in ("name", "class", "childclass", "rgba", "file", "mesh", "material")
-        and any(_is_number(one) for one in text.split())
+        and any(_is_number(word_text) for word_text in text.split())
     ]
     if not having:
         return "nothing"
@@ -235,9 +235,9 @@ def _is_number(text: str) -> bool:
 
 def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     """Change a default class, or the class of an element; return what was changed."""
-    classes = [one for one in root.iter("default") if one.get("class")]
-    using = [one for one in root.iter("geom", "joint", "motor", "position", "general")
-             if one.get("class") and not _in_default(one)]  # fmt: skip
+    classes = [default for default in root.iter("default") if default.get("class")]
+    using = [geom for geom in root.iter("geom", "joint", "motor", "position", "general")
+             if geom.get("class") and not _in_default(geom)]  # fmt: skip
     if using and not random.integers(3):
         one = using[int(random.integers(len(using)))]
         one.set("class", str(random.choice([str(default.get("class")) for default in classes])))
@@ -249,7 +249,7 @@ def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> st
         geom = etree.SubElement(one, "geom") if geom is None else geom
         geom.set(word, _GEOM[word](random))
         return f"geom {word}"
-    found = [one for one in root.iter("default") if len(one)]
+    found = [default for default in root.iter("default") if len(default)]
     return _change_number(found[int(random.integers(len(found)))], random) if found else "nothing"
 
 
@@ -323,7 +323,11 @@ def _include(root: Element, random: np.random.Generator, folder: Path, name: str
     """Move a section into an included file; in an edited part change one number of it."""
     one_key = len(list(root.iter("key"))) == 1  # rollouts begin with the first
     tags = ("default", "actuator", "contact", "worldbody", *(["keyframe"] if one_key else []))
-    sections = [one for one in root if one.tag in tags and len(one)]
+    sections = [
+        section_element
+        for section_element in root
+        if section_element.tag in tags and len(section_element)
+    ]
     section = sections[int(random.integers(len(sections)))]
     part = etree.Element("mujoco")
     section.addprevious(etree.Element("include", file=name))
@@ -489,7 +493,9 @@ def compute_answers(
             continue
         diff = pa.diff_models(original, edited)
         messages = [change for change in diff.changes if change.effects]
-        felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.combined)
+        felt = bool(messages) or any(
+            message.code == "simulation-changes" for message in diff.combined
+        )
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
         placed = made.element is None or str(_line(tree, made.element, edited)) in places
         found.append(Answer(f"{made.what}, seed {seed}", truth, felt, diff.same, placed))

@@ -44,13 +44,13 @@ WORDS = {
     whose: tomllib.loads(path.read_text(encoding="utf-8")) for whose, path in word_files().items()
 }
 TEXTS = WORDS.pop("texts") | {
-    k: v for one in WORDS.values() for k, v in one.pop("texts", {}).items()
+    k: v for section in WORDS.values() for k, v in section.pop("texts", {}).items()
 }
 TERMS = WORDS.pop("terms") | {
-    k: v for one in WORDS.values() for k, v in one.pop("terms", {}).items()
+    k: v for section in WORDS.values() for k, v in section.pop("terms", {}).items()
 }
 MEANINGS = WORDS.pop("meanings") | {
-    k: v for one in WORDS.values() for k, v in one.pop("meanings", {}).items()
+    k: v for section in WORDS.values() for k, v in section.pop("meanings", {}).items()
 }
 CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
@@ -129,21 +129,23 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
         yield from literals(node.body, where, tree)
         yield from literals(node.orelse, where, tree)
     elif isinstance(node, ast.Name):  # assigned in an earlier line, or default of an argument
-        for one in ast.walk(tree):
-            if isinstance(one, ast.FunctionDef):
-                names = [argument.arg for argument in one.args.args]
-                for name, default in zip(names[::-1], one.args.defaults[::-1], strict=False):
+        for definition in ast.walk(tree):
+            if isinstance(definition, ast.FunctionDef):
+                names = [argument.arg for argument in definition.args.args]
+                for name, default in zip(names[::-1], definition.args.defaults[::-1], strict=False):
                     if name == node.id and isinstance(default, ast.Constant) and default.value:
                         yield str(default.value)
-            for target, value in pair_assignment(one) if isinstance(one, ast.Assign) else ():
+            for target, value in (
+                pair_assignment(definition) if isinstance(definition, ast.Assign) else ()
+            ):
                 if ast.unparse(target) == node.id:
                     yield from literals(value, where, tree)
     elif isinstance(node, ast.Subscript):  # value of a table in the same module
         (table,) = (
-            one.value
-            for one in tree.body
-            if isinstance(one, ast.Assign)
-            and ast.unparse(one.targets[0]) == ast.unparse(node.value)
+            assignment.value
+            for assignment in tree.body
+            if isinstance(assignment, ast.Assign)
+            and ast.unparse(assignment.targets[0]) == ast.unparse(node.value)
         )
         yield from ast.literal_eval(table).values()
     else:
@@ -161,7 +163,9 @@ def test_catalogue_equals_tomllib_and_each_code_is_in_one_file() -> None:
             assert set(stated) <= {"severity", "group", "short", "short_zh", *LANGUAGES}, code
             short_forms = {"en": stated.get("short", ""), "zh": stated.get("short_zh", "")}
             assert dict(entry(code).short_templates) == short_forms
-            assert dict(entry(code).templates) == {one: stated[one] for one in LANGUAGES}
+            assert dict(entry(code).templates) == {
+                language: stated[language] for language in LANGUAGES
+            }
     assert sorted(found) == CODES
 
 
@@ -229,10 +233,10 @@ def test_errors_contain_diagnostics_instead_of_sentences() -> None:
     for module, node in made_calls():
         name = getattr(node.func, "id", None)
         if name == "UnknownNameError":
-            kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}
+            kinds |= {arg.value for arg in node.args[1:2] if isinstance(arg, ast.Constant)}
         elif name in made:
-            words = [one.value for given in node.args for one in ast.walk(given)
-                     if isinstance(one, ast.Constant)]  # fmt: skip
+            words = [constant.value for given in node.args for constant in ast.walk(given)
+                     if isinstance(constant, ast.Constant)]  # fmt: skip
             if any(map(SENTENCE.search, map(str, words))):
                 found.add(module)
     assert found == set()

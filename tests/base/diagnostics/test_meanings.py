@@ -52,7 +52,7 @@ def all_results(kind: type = Result) -> set[type]:
     for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
-    return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
+    return {s for subclass in kind.__subclasses__() for s in (subclass, *all_results(subclass))}
 
 
 def with_unit(text: str, unit: str | None) -> str:
@@ -94,7 +94,7 @@ def test_fields_of_public_results_are_documented() -> None:
     kinds = [value for value in values if isinstance(value, type) and issubclass(value, Result)]
     assert len(kinds) > 20
     for kind in kinds:
-        known = {name for one in kind.__mro__ for name in read_field_docs(one)}
+        known = {name for ancestor in kind.__mro__ for name in read_field_docs(ancestor)}
         assert {field.name for field in fields(kind)} <= known, kind  # type: ignore[arg-type]
 
 

@@ -337,11 +337,13 @@ def test_empty_filename_of_a_mesh_is_named_with_its_link_and_line(
     mesh = f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}></link>'
     urdf = quadruped(tmp_path).urdf
     edited_by(urdf, lambda text: text.replace("</link>", mesh))
-    findings = [one for one in pa.audit_model(urdf).findings if one.rule == "mesh-missing"]
-    assert {one.diagnostic.code for one in findings} == {"mesh-without-filename"}
-    assert {one.severity for one in findings} == {severity}
-    assert [one.element for one in findings][:2] == ["link 'trunk'", "link 'FL_hip'"]
-    assert [one.line for one in findings][:2] == [2, 3]
+    findings = [
+        finding for finding in pa.audit_model(urdf).findings if finding.rule == "mesh-missing"
+    ]
+    assert {finding.diagnostic.code for finding in findings} == {"mesh-without-filename"}
+    assert {finding.severity for finding in findings} == {severity}
+    assert [finding.element for finding in findings][:2] == ["link 'trunk'", "link 'FL_hip'"]
+    assert [finding.line for finding in findings][:2] == [2, 3]
     assert len(findings) == 13
     robot = pa.load_robot(urdf, fixed_base=True)
     (note,) = [note for note in robot.notes if note.code == "meshes-left"]

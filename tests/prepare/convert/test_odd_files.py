@@ -256,7 +256,7 @@ def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
     assert max(apart.min(0).max(), apart.min(1).max()) < 1e-6  # m
     source.write_text(source.read_text().replace("scale=", 'refpos="0.1 0.2 0.3" scale='))
     _, found = convert_file(source, "three.urdf")
-    assert "mesh-moved" in {one.code for one in found.not_converted}
+    assert "mesh-moved" in {loss.code for loss in found.not_converted}
 
 
 def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:

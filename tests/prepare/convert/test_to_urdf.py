@@ -131,8 +131,8 @@ def test_objects_beside_an_arm_do_not_change_its_torques(tmp_path: Path) -> None
     robot = pa.load_robot(scene(tmp_path, CUBE, TABLE, eye, LEFT))
     qpos = np.array([0.4, -0.3])
     torques = [
-        pa.gravity_compensation(pa.Configuration(one, qpos), contacts=[]).joint_torques
-        for one in (alone, robot)
+        pa.gravity_compensation(pa.Configuration(model, qpos), contacts=[]).joint_torques
+        for model in (alone, robot)
     ]
     np.testing.assert_allclose(*torques, atol=1e-12)
     assert robot.joint_names == ("left_1", "left_2")

@@ -102,9 +102,9 @@ def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path
     assert again.stand_height == pytest.approx(robot.stand_height, abs=2e-6)
     ground = pa.Ground(slope=0.14, uphill=1.0)
     verdicts = []
-    for each in (robot, again):
-        stand = pa.solve_stand(each, StandTask(ground=ground))
-        seen = pa.verify_stand(each, stand)
+    for loaded in (robot, again):
+        stand = pa.solve_stand(loaded, StandTask(ground=ground))
+        seen = pa.verify_stand(loaded, stand)
         verdicts.append((seen.passed, seen.collapses, tuple(f.code for f in seen.failures)))
     assert verdicts[0] == verdicts[1]
     np.testing.assert_allclose(
@@ -121,10 +121,10 @@ def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
     """
     robot = pa.load_robot(write_random_quadruped(tmp_path, 70201))
     added = robot.description.added
-    kinds = [type(each) for each in added]
+    kinds = [type(addition) for addition in added]
     assert kinds.count(Servo) == robot.nu
     assert kinds.count(Floor) == kinds.count(StartKeyframe) == 1
-    reasons = {each.reason.code for each in added}
+    reasons = {addition.reason.code for addition in added}
     assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= reasons
     messages = {note.code for note in robot.notes}
     assert reasons - {"servos-made"} <= messages
@@ -182,5 +182,5 @@ def test_contact_options_of_an_mjcf_are_kept(tmp_path: Path) -> None:
     stated = mujoco.MjModel.from_xml_path(str(pair.mjcf)).opt
     assert robot.mj_model.opt.cone == stated.cone
     assert robot.mj_model.opt.impratio == stated.impratio
-    options = [each for each in robot.description.added if isinstance(each, Options)]
-    assert not any("cone" in each.values for each in options)
+    options = [addition for addition in robot.description.added if isinstance(addition, Options)]
+    assert not any("cone" in option.values for option in options)

@@ -41,16 +41,16 @@ def test_another_radius_is_a_difference_of_each_foot(
     files = write_edited(tmp_path, file, old, new)
     found = pa.compare_models(*files)
     assert not found.agree
-    assert [one.kind for one in found.differences] == ["collision"] * 4
-    for one in found.differences:
-        stated = {key: one.diagnostic.values[key] for key in ("lower", "higher")}
+    assert [difference.kind for difference in found.differences] == ["collision"] * 4
+    for difference in found.differences:
+        stated = {key: difference.diagnostic.values[key] for key in ("lower", "higher")}
         message = stated["lower"] if lower > 0 else stated["higher"]
         assert isinstance(message, Quantity)
         assert message.value == pytest.approx(abs(lower), abs=1e-9)
         assert stated["higher" if lower > 0 else "lower"] is None
         places = {"pupper_v3.urdf": files[0], "pupper_v3.xml": files[1]}
-        assert "collision" in line_at(one.urdf_place, places)
-        assert one.mjcf_place is not None
+        assert "collision" in line_at(difference.urdf_place, places)
+        assert difference.mjcf_place is not None
 
 
 def test_feet_without_contact_in_one_file_are_differences(tmp_path: Path) -> None:

@@ -317,7 +317,7 @@ def test_position_limit_of_one_file_alone_is_an_infinite_deviation(
     for name in ("lower joint limits", "upper joint limits"):
         assert quantities[name].relative == float("inf")
         assert quantities[name].location == "hip0"
-    assert {(one.kind, one.element) for one in comparison.differences} == {
+    assert {(difference.kind, difference.element) for difference in comparison.differences} == {
         ("lower limit", "hip0"),
         ("upper limit", "hip0"),
     }

@@ -268,8 +268,11 @@ def add_acting_element(kind: str, size: str, text: str) -> str:
 _PAIR = '<tendon><fixed {}><joint joint="hip0" coef="1"/></fixed></tendon><actuator>'
 _OFF = '<option><flag {}="disable"/></option><worldbody>'
 UNFELT = {
-    "tendon": [("<actuator>", _PAIR.format(one)) for one in ('frictionloss="1"', 'range="-1 1"')],
-    "flag": [("<worldbody>", _OFF.format(one)) for one in ("limit", "frictionloss", "actuation")],
+    "tendon": [
+        ("<actuator>", _PAIR.format(attribute))
+        for attribute in ('frictionloss="1"', 'range="-1 1"')
+    ],
+    "flag": [("<worldbody>", _OFF.format(flag)) for flag in ("limit", "frictionloss", "actuation")],
 }
 """{kind of difference: edits} that no acceleration of the unconstrained robot feels."""
 
@@ -649,7 +652,11 @@ def test_disable_flags_remove_the_forces_that_the_file_states(tmp_path: Path) ->
         ("spring", "damping", "stiffness"),
         ("damper", "stiffness", "damping"),
     ):
-        (tendon,) = (one for one in flagged(word, cord).differences if one.kind == "tendon")
+        (tendon,) = (
+            difference
+            for difference in flagged(word, cord).differences
+            if difference.kind == "tendon"
+        )
         assert (left in tendon.message, gone in tendon.message) == (True, False)
 
 

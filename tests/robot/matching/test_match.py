@@ -126,7 +126,7 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.agree
     reported = " ".join(map(str, comparison.notes))
-    assert all(f"body '{one}' is not part of the robot" in reported for one in ("ball", "door"))
+    assert all(f"body '{body}' is not part of the robot" in reported for body in ("ball", "door"))
 
 
 # ------------------------------------------------------------------------------------- left over

@@ -286,7 +286,9 @@ def test_lifted_foot_that_sinks_to_the_ground_carries_load(
     robot, stand = load(name), lift_foot(name, foot, height)
     pose = steady_state(robot, stand, kp=kp, seconds=7.5)
     assert pose.stance_feet == robot.contact_points
-    presses = [one.subject for one in pose.failures if one.code == "lifted-foot-presses"]
+    presses = [
+        failure.subject for failure in pose.failures if failure.code == "lifted-foot-presses"
+    ]
     assert presses == [Subject("foot", foot)]
     run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8, nudged=0)
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
@@ -322,7 +324,7 @@ def test_foot_that_would_have_to_pull_is_released() -> None:
     assert pa.stance.stand_statics(robot, stand).contact_forces["RR"][2] > 0
     pose = steady_state(robot, stand, seconds=4.5)
     assert pose.stance_feet == ("FL", "FR", "RL")
-    assert [str(one) for one in pose.failures] == ["foot RR carries no load"]
+    assert [str(failure) for failure in pose.failures] == ["foot RR carries no load"]
     np.testing.assert_array_equal(pose.contact_forces["RR"], 0)
     run = pa.verify_stand(robot, stand, feedforward=False)
     assert run.foot_forces["RR"][2] == 0
@@ -351,13 +353,13 @@ def test_steady_state_exists_for_each_stiffness_above_the_minimum() -> None:
     """
     robot, stand = load("v3"), stand_of("v3")
     found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
-    assert all(one.stable for one in found)
+    assert all(state.stable for state in found)
     # Failures are those of later creep only, in which a knee reaches the ground.
-    assert not any(one.failures for one in found if math.isinf(one.lasts))
-    lasting = [one.lasts for one in found]
+    assert not any(state.failures for state in found if math.isinf(state.lasts))
+    lasting = [state.lasts for state in found]
     assert lasting == sorted(lasting)
     assert lasting[0] < 12
-    heights = [float(one.qpos[2]) for one in found]
+    heights = [float(state.qpos[2]) for state in found]
     assert (np.diff(heights) > 0).all()
     assert heights[0] == pytest.approx(0.1004, abs=5e-4)  # MuJoCo's, after 12 s: 0.1004 m
 
@@ -441,7 +443,7 @@ def test_simulation_collapses_below_the_minimum_stiffness(
     if feet == "pinned":  # creeping feet reach the sliding equilibrium later
         loss = steady_state(robot, stand, kp=1.05 * kp).height_loss
         assert loss == pytest.approx(above.height_loss, abs=2e-4)
-    assert any(one.code == "body-touches-ground" for one in below.failures)
+    assert any(failure.code == "body-touches-ground" for failure in below.failures)
 
 
 def test_instability_is_reported() -> None:
@@ -451,9 +453,9 @@ def test_instability_is_reported() -> None:
     robot, stand = load("original"), stand_of("original")
     pose = steady_state(robot, stand, kp=0.1, feedforward=True)
     assert not pose.stable
-    assert any(one.code == "equilibrium-not-stable" for one in pose.failures)
+    assert any(failure.code == "equilibrium-not-stable" for failure in pose.failures)
     run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20, nudged=0)
-    assert any(one.code == "fell-over" for one in run.failures)
+    assert any(failure.code == "fell-over" for failure in run.failures)
 
 
 @pytest.mark.slow
@@ -659,7 +661,7 @@ def test_stand_of_v3_with_long_legs_has_no_steady_state_and_sinks_in_mujoco() ->
     assert 0.8 < caught.value.share < 0.9
     for ground in (robot, change_model(robot, firm_grip)):
         run = pa.verify_stand(ground, stand, feedforward=False, duration=10.0, nudged=0)
-        assert any(one.code == "body-touches-ground" for one in run.failures)
+        assert any(failure.code == "body-touches-ground" for failure in run.failures)
 
 
 def test_dictionary_of_a_steady_state_states_the_parts_of_the_height_loss() -> None:

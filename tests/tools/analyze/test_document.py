@@ -28,7 +28,7 @@ def test_bad_verdict_on_the_stand_is_the_reason_without_other_failures() -> None
     verdict = judge_stance(run(0.0, passed=False), None, SERVOS)
     assert not verdict.passed
     quantities = ANALYSIS.check.quantities
-    agreeing = tuple(Stub(**{**vars(one), "passed": True}) for one in quantities)
+    agreeing = tuple(Stub(**{**vars(quantity), "passed": True}) for quantity in quantities)
     check = Stub(**{**vars(ANALYSIS.check), "quantities": agreeing})
     values = {**vars(ANALYSIS), "verdict": verdict, "verified": False, "check": check}
     values["failures"] = ()

@@ -1881,10 +1881,12 @@ def test_weight_that_gravcomp_bears_is_that_of_mujoco(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     found = find_findings(audit_model(path), "gravity-compensated")
-    assert [one.severity for one in found] == ([] if severity is None else [severity])
-    for one in found:
-        assert one.diagnostic.values["weight"].value == pytest.approx(data.qfrc_gravcomp[0])
-        assert one.diagnostic.values["share"] == pytest.approx(data.qfrc_gravcomp[0] / (5 * 9.81))
+    assert [finding.severity for finding in found] == ([] if severity is None else [severity])
+    for finding in found:
+        assert finding.diagnostic.values["weight"].value == pytest.approx(data.qfrc_gravcomp[0])
+        assert finding.diagnostic.values["share"] == pytest.approx(
+            data.qfrc_gravcomp[0] / (5 * 9.81)
+        )
         assert data.qfrc_actuator[0] == 0.0  # no motor bears this weight
     if severity is None:
         assert data.qfrc_gravcomp[0] == 0.0

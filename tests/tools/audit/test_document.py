@@ -186,7 +186,7 @@ def test_mass_of_a_fixed_link_may_belong_to_the_parent_on_one_side(tmp_path: Pat
     rules = {finding.rule for finding in audit_model(merged).findings}
     assert not rules & {"mirror-mass", "mirror-com", "mirror-inertia"}
     wrong = write_legs(tmp_path / "b.urdf", {"left": (0.001, 0.3374), "right": (0.5, 0.0)})
-    found = [one for one in audit_model(wrong).findings if one.rule == "mirror-mass"]
+    found = [finding for finding in audit_model(wrong).findings if finding.rule == "mirror-mass"]
     assert found[0].severity == "error"
 
 
@@ -195,7 +195,9 @@ def test_zero_inertia_of_the_heaviest_fixed_link_is_a_warning(tmp_path: Path) ->
     masses = {"left": (0.001, 0.3374), "right": (0.001, 0.3374)}
     audit = audit_model(write_legs(tmp_path / "a.urdf", masses, moment=0.0))
     rule = "inertia-not-positive-definite"
-    found = [(one.element, one.severity) for one in audit.findings if one.rule == rule]
+    found = [
+        (finding.element, finding.severity) for finding in audit.findings if finding.rule == rule
+    ]
     assert found == [("link 'left_cover'", "warning"), ("link 'right_cover'", "warning")]
 
 
@@ -231,8 +233,8 @@ def test_fix_answers_with_the_patch_and_does_not_repeat_the_findings(tmp_path: P
     text = path.read_text().replace('lower="-1" upper="1"', 'lower="1" upper="-0.5"')
     path.write_text(text.replace('effort="9"', 'effort="1e9"'))
     audit = audit_model(path)
-    exchanged = [one for one in audit.findings if len(one.repairs) == 1]
-    others = [one for one in audit.findings if len(one.repairs) != 1]
+    exchanged = [finding for finding in audit.findings if len(finding.repairs) == 1]
+    others = [finding for finding in audit.findings if len(finding.repairs) != 1]
     assert len(exchanged) == 2
     assert others
     printed = answer("audit", "a.urdf", "--fix", folder=tmp_path).stdout

@@ -127,7 +127,7 @@ def test_reversed_axis_of_mirrored_hips_is_named_by_their_ranges(
     path = tmp_path / URDF.name
     path.write_text(text)
     audit = audit_model(path)
-    (found,) = (each for each in audit.findings if each.rule == "mirror-axis")
+    (found,) = (finding for finding in audit.findings if finding.rule == "mirror-axis")
     assert found.element == f"joint '{wrong}_HAA'"
     assert repairs_of(audit, "mirror-axis") == [{"xyz": "-1 0 0" if wrong[1] == "L" else "1 0 0"}]
 
@@ -318,7 +318,7 @@ def test_lost_shape_is_named_on_the_leg_that_deviates(wrong: str, tmp_path: Path
     path = tmp_path / URDF.name
     path.write_text(text.replace(calf, re.sub("(?s)<collision>.*?</collision>", "", calf)))
     found = [finding for finding in audit_model(path).findings if finding.rule == "mirror-shapes"]
-    assert [each.element for each in found] == [f"link '{wrong}_calf'"]
+    assert [finding.element for finding in found] == [f"link '{wrong}_calf'"]
 
 
 def test_number_that_the_other_legs_share_is_copied_and_not_mirrored(tmp_path: Path) -> None:
@@ -406,7 +406,9 @@ def test_backslashes_in_mesh_paths_become_slashes(tmp_path: Path) -> None:
     )
     urdf, mjcf = tmp_path / "robot.urdf", tmp_path / "robot.xml"
     urdf.write_text(f'<robot name="r"><link name="b">{shapes}</link></robot>')
-    (finding,) = [one for one in audit_model(urdf).findings if one.rule == "mesh-missing"]
+    (finding,) = [
+        finding for finding in audit_model(urdf).findings if finding.rule == "mesh-missing"
+    ]
     (repair,) = finding.repairs
     changes = [change.new["filename"] for change in (repair, *repair.further)]
     assert changes == ["meshes/a.stl", "meshes/b.stl"]
@@ -612,7 +614,7 @@ def test_moments_of_a_cross_with_one_drawn_pin_are_no_finding(
         '<origin rpy="0 1.5707963267948966 0"/>'
         '<geometry><cylinder length="0.05" radius="0.004"/></geometry>'
     )
-    rules = {each.rule for each in audit_model(write_arm(tmp_path, inertial, shape)).findings}
+    rules = {finding.rule for finding in audit_model(write_arm(tmp_path, inertial, shape)).findings}
     assert ("inertia-implausible" in rules) is found
 
 

@@ -483,12 +483,12 @@ def make_baseline_entry(
 
 def test_remark_is_known_only_if_all_parts_of_its_identity_match() -> None:
     known = make_baseline_entry("base", 1.0)
-    for other in (
+    for remark in (
         make_remark("hip", 1.0),
         make_remark("base", 1.0, kind="com"),
         make_remark("base", 1.0, file="b.urdf"),
     ):
-        ((judged_one,), stale) = mark_known_remarks([other], [known])
+        ((judged_one,), stale) = mark_known_remarks([remark], [known])
         assert not judged_one.known
         assert stale == (known,)
     assert mark_known_remarks([make_remark("base", 1.0)], [known])[0][0].known
@@ -500,7 +500,7 @@ def test_each_baseline_entry_matches_one_remark_of_equal_value() -> None:
     found, stale = mark_known_remarks(
         remarks, [make_baseline_entry("base", value) for value in (2.0, 5.0, 3.0)]
     )
-    assert [one.known for one in found] == [False, True, True, False]
+    assert [remark.known for remark in found] == [False, True, True, False]
     assert stale == (make_baseline_entry("base", 5.0),)
 
 

@@ -62,7 +62,9 @@ def test_each_edit_is_reported_at_its_line_with_its_effect(folder: Path, name: s
     felt = Severity.ERROR if name in FALLS else Severity.WARNING
     assert worst == (felt if name in FELT else Severity.NOTE).rank
     assert result.passed is not (name in FALLS or bool(edit.urdf))
-    codes = {one.code for remark in changes for one in (remark.diagnostic, *remark.consequences)}
+    codes = {
+        message.code for remark in changes for message in (remark.diagnostic, *remark.consequences)
+    }
     assert ("simulation-changes" in codes) is (name in FELT)
     if not edit.urdf and name not in FALLS:
         assert check(folder, None).passed  # no file contradicts it: history alone does

@@ -63,7 +63,7 @@ def robot_of(name: str, folder: Path) -> Robot:
     }
     for quantity, word in (("effort", "effort"), ("lower limit", "lower"),
                            ("upper limit", "upper")):  # fmt: skip
-        numbers[quantity] = {one: float(limits[one].get(word)) for one in order}  # type: ignore[union-attr, arg-type]
+        numbers[quantity] = {joint: float(limits[joint].get(word)) for joint in order}  # type: ignore[union-attr, arg-type]
     return Robot(urdf, tuple(order), numbers)
 
 
@@ -296,7 +296,7 @@ def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, st
     at = np.random.default_rng(seed)
     angles = robot.numbers["default angle"]
     joint = str(at.choice(robot.order))
-    bent = str(at.choice([one for one in robot.order if angles[one]]))
+    bent = str(at.choice([joint for joint in robot.order if angles[joint]]))
     leg = 3 * int(at.integers(4))
     if slip == "order" and kind in ("ros2", "ONNX"):  # the names alone, of two legs
         other = (leg + 3 * int(at.integers(1, 4))) % 12

@@ -79,13 +79,13 @@ def test_network_of_another_size_than_joints_or_observations_is_reported(
 ) -> None:
     """References: 12 joints; angular velocity (3), joint positions (12) and last actions (12)."""
     path = write_policy(tmp_path / "policy.onnx", inputs, outputs, metadata)
-    found = [one for one in contract(path).findings if one.kind != "kd"]
-    assert [(one.kind, one.values, one.severity) for one in found] == (
+    found = [finding for finding in contract(path).findings if finding.kind != "kd"]
+    assert [(finding.kind, finding.values, finding.severity) for finding in found] == (
         [(kind, values, severity)] if kind else []
     )
-    for one in found:
-        assert {str(int(number)) for number in values} <= set(re.findall(r"\d+", one.message))
-        assert str(inputs if kind == "observed numbers" else outputs) in one.diagnostic.short
+    for finding in found:
+        assert {str(int(number)) for number in values} <= set(re.findall(r"\d+", finding.message))
+        assert str(inputs if kind == "observed numbers" else outputs) in finding.diagnostic.short
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_action_of_several_outputs_is_counted_and_a_symbolic_size_is_unknown(
     assert [fact.value for fact in read.facts if fact.quantity == "observed numbers"] == (
         [float(inputs)] if inputs else []
     )
-    found = [one.kind for one in read.findings if one.kind != "kd"]
+    found = [finding.kind for finding in read.findings if finding.kind != "kd"]
     assert found == (["actions"] if actions == [10.0] else [])
 
 
@@ -154,7 +154,7 @@ def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     assert not [
         fact for fact in found.facts if fact.source == path.name and "angle" in fact.quantity
     ]
-    assert any(one.code == "contract-list-unread" for one in found.unread)
+    assert any(note.code == "contract-list-unread" for note in found.unread)
 
 
 def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
@@ -181,8 +181,8 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
     assert order["config.yaml:pupper/walk"] == ("motors", tuple(JOINTS))
     policy.write_text(policy.read_text().replace(format_list(numbers), format_list(range(12))))
     wrong = contract(sources["gym_cfg.py"], base, policy).findings
-    assert {one.kind for one in wrong} == {"default angle"}
-    moved = {joint for one in wrong for joint in one.joints}
+    assert {finding.kind for finding in wrong} == {"default angle"}
+    moved = {joint for finding in wrong for joint in finding.joints}
     assert moved == set(JOINTS[:6]) - {JOINTS[1], JOINTS[4]}
 
 
@@ -548,8 +548,8 @@ def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> No
                 for leg in ("front_r", "front_l", "back_r", "back_l")]  # fmt: skip
     angles = dict(zip(JOINTS, ANGLES, strict=True))
     deploy.write_text(
-        f"joint_ids_map: {format_list(motors.index(one) for one in by_depth)}\n"
-        f"default_joint_pos: {format_list(angles[one] for one in by_depth)}\n"
+        f"joint_ids_map: {format_list(motors.index(joint) for joint in by_depth)}\n"
+        f"default_joint_pos: {format_list(angles[joint] for joint in by_depth)}\n"
         f"stiffness: {format_list(6.0 if motor.endswith('3') else 5.0 for motor in motors)}\n"
         f"damping: {format_list([0.25] * 12)}\n"
     )
@@ -579,8 +579,8 @@ def test_motor_limits_in_the_order_of_the_motors_are_recognised(tmp_path: Path) 
     def read_efforts(limits_as_listed: list[float]) -> tuple[dict[str, float], set[str]]:
         """Return {joint: effort} of the deployment, and the codes of the notes."""
         deploy.write_text(
-            f"joint2motor_idx: {format_list(JOINTS.index(one) for one in by_depth)}\n"
-            f"kps: {format_list(gains[one[-1]] for one in by_depth)}\n"
+            f"joint2motor_idx: {format_list(JOINTS.index(joint) for joint in by_depth)}\n"
+            f"kps: {format_list(gains[joint[-1]] for joint in by_depth)}\n"
             f"tau_limit: {format_list(limits_as_listed)}\n"
         )
         found = contract(deploy)
@@ -772,7 +772,7 @@ def test_a_usd_with_other_names_is_matched_by_structure(tmp_path: Path) -> None:
         text = text.replace(f'"{link}"', f'"body{number}"')
     other.write_text(text)
     found = read_contract(path, other, stand=False)
-    assert any(one.code == "contract-matched" for one in found.notes)
+    assert any(note.code == "contract-matched" for note in found.notes)
     lower = {(fact.source, fact.joint) for fact in found.facts if fact.quantity == "lower limit"}
     assert lower == {
         (name, joint) for name in (path.name, "other.urdf") for joint in ("hip", "knee", "spring")
@@ -852,7 +852,7 @@ def test_files_with_the_same_name_are_distinguished_by_their_folders(
     assert names == {f"{real.parents[1].name}/deploy.yaml", "real/deploy.yaml"}
     assert {finding.sources[1] for finding in found.findings} == {"real/deploy.yaml"}
     gains = [fact for fact in found.facts if fact.quantity == "kp"]
-    assert len([one for one in gains if one.source == "real/deploy.yaml"]) == 12
+    assert len([gain for gain in gains if gain.source == "real/deploy.yaml"]) == 12
 
 
 def test_yaml_with_the_settings_of_legged_gym_is_a_trainer(sources: dict[str, Path]) -> None:
@@ -879,7 +879,7 @@ def test_sources_that_agree_have_no_finding(
     sources: dict[str, Path], trainer: str, other: str
 ) -> None:
     found = contract(sources[trainer], sources[other])
-    assert [one.message for one in found.findings] == []
+    assert [finding.message for finding in found.findings] == []
     assert found.passed
     kp = {(fact.source, fact.joint): fact.value for fact in found.facts if fact.quantity == "kp"}
     assert len(kp) == 24
@@ -900,7 +900,7 @@ def test_expression_without_a_value_is_shown_as_written(sources: dict[str, Path]
     sources["isaac_cfg.py"].write_text(text.replace("damping=0.25", "damping=measured()"))
     found = contract(sources["isaac_cfg.py"], sources["policy.json"])
     kd = [fact for fact in found.facts if fact.quantity == "kd" and fact.value is None]
-    assert {one.expression for one in kd} == {"measured()"}
+    assert {fact.expression for fact in kd} == {"measured()"}
     assert len(kd) == 12
     assert [finding for finding in found.findings if finding.kind == "kd"] == []
 
@@ -972,7 +972,7 @@ def test_missing_effort_limit_of_a_model_is_one_finding(tmp_path: Path) -> None:
         for difference in compare_files(urdf, model).result.differences
         if difference.kind == "effort"
     ]
-    subjects = [each.diagnostic.subject for each in efforts_differ]
+    subjects = [finding.diagnostic.subject for finding in efforts_differ]
     assert {subject.name for subject in subjects if subject} >= {"hip", "knee"}
 
 
@@ -1079,9 +1079,9 @@ def test_an_infinite_number_agrees_with_no_finite_number(
     first = write_deployment(tmp_path / "first.yaml", **{key: format_list([number] * 12)})
     second = write_deployment(tmp_path / "second.yaml", **{key: format_list([".inf"] * 12)})
     both = (first.name, second.name)
-    found = [one for one in contract(first, second).findings if one.sources == both]
+    found = [finding for finding in contract(first, second).findings if finding.sources == both]
     assert bool(found) == is_reported
-    assert all(one.values == (number, math.inf) for one in found)
+    assert all(finding.values == (number, math.inf) for finding in found)
 
 
 @pytest.mark.parametrize(
@@ -1097,8 +1097,8 @@ def test_other_motor_numbers_of_named_joints_are_reported(
     second = write_deployment(tmp_path / "second.yaml", joint_ids_map=format_list(numbers))
     found = contract(first, second)
     assert found.passed == (moved == 0)
-    assert [len(one.joints) for one in found.findings] == ([moved] if moved else [])
-    codes = {one.code for one in found.unread}
+    assert [len(finding.joints) for finding in found.findings] == ([moved] if moved else [])
+    codes = {note.code for note in found.unread}
     assert ("contract-motors-unread" in codes) == (moved is None)
 
 
@@ -1109,7 +1109,7 @@ def test_an_octal_number_is_not_read_as_a_decimal_number(tmp_path: Path, text: s
     second = write_deployment(tmp_path / "second.yaml", kps=format_list([text] * 12))
     found = contract(first, second)
     assert found.findings == ()
-    assert {one.code for one in found.unread} == {"contract-value-unread"}
+    assert {note.code for note in found.unread} == {"contract-value-unread"}
 
 
 @pytest.mark.parametrize("number", ["Infinity", "-Infinity", "inf", ".inf", "-.Inf"])
@@ -1148,7 +1148,7 @@ def test_an_empty_range_is_no_narrower_range_of_the_model(tmp_path: Path) -> Non
     for factor, severity in ((1, "note"), (-1, "warning")):
         rows = {key: format_list([factor * number] * 12) for key, number in limits.items()}
         path = write_deployment(tmp_path / "deploy.yaml", **rows)
-        assert {one.severity.value for one in contract(path).findings} == {severity}
+        assert {finding.severity.value for finding in contract(path).findings} == {severity}
 
 
 def test_action_offsets_of_a_deployment_are_compared(tmp_path: Path) -> None:
@@ -1157,7 +1157,9 @@ def test_action_offsets_of_a_deployment_are_compared(tmp_path: Path) -> None:
     moved = [0.36, *ANGLES[1:]]
     second = write_deployment(tmp_path / "second.yaml", action_offset=format_list(moved))
     both = (first.name, second.name)
-    (finding,) = [one for one in contract(first, second).findings if one.sources == both]
+    (finding,) = [
+        finding for finding in contract(first, second).findings if finding.sources == both
+    ]
     assert (finding.kind, finding.joints) == ("action offset", (JOINTS[0],))
 
 

@@ -51,8 +51,8 @@ def test_planted_mistake_is_found_with_both_lines(
         and (joint in finding.joints or not joint)
     ]
     if slip == "limit" and kind in LIMITED_TWICE:  # the deployment's is the URDF's
-        assert {one.sources[1] for one in hits} == {robot.urdf.name, other.name}
-        hits = [one for one in hits if one.sources[1] == other.name]
+        assert {hit.sources[1] for hit in hits} == {robot.urdf.name, other.name}
+        hits = [hit for hit in hits if hit.sources[1] == other.name]
     assert len(hits) == 1, messages
     assert hits[0].probable_mistake == LOOKS.get(slip, "")
     first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding

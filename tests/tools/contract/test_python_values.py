@@ -23,7 +23,7 @@ def to_plain(node: LocatedValue) -> object:
     """Return a value without its places; of an unknown value, its text in brackets."""
     value = node.value
     if isinstance(value, list):
-        return [to_plain(one) for one in value]
+        return [to_plain(item) for item in value]
     if isinstance(value, dict):
         return {key: to_plain(one) for key, one in value.items()}
     return value if value is None or isinstance(value, bool | int | float | str) else f"<{value}>"

@@ -58,14 +58,16 @@ def test_table_and_python_file_of_mjlab_give_equal_statements(tmp_path: Path) ->
         path = tmp_path / KINDS[kind][0]
         write(robot, kind, tmp_path)
         (source,) = [
-            one for one in read(Request(path)) if "walking" in one.name or path.suffix == ".yaml"
+            source
+            for source in read(Request(path))
+            if "walking" in source.name or path.suffix == ".yaml"
         ]
         shared = ("default angle", "action scale", "action offset", "kp", "kd", "effort")
         contents.append(
             sorted(
-                (one.quantity, one.joint, str(one.value), one.origin)
-                for one in source.statements
-                if one.quantity in shared
+                (statement.quantity, statement.joint, str(statement.value), statement.origin)
+                for statement in source.statements
+                if statement.quantity in shared
             )
         )
     assert contents[0] == contents[1]
@@ -95,7 +97,7 @@ def test_pattern_of_default_angles_selects_the_joints_of_the_framework(
     ]
     names = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "calf")]
     selects = re.match if framework == "EntityCfg" else re.fullmatch
-    selected = [name for name in names if any(matches_name(each, name) for each in patterns)]
+    selected = [name for name in names if any(matches_name(pattern, name) for pattern in patterns)]
     assert selected == [name for name in names if selects(pattern, name)]
 
 
@@ -152,7 +154,9 @@ def test_scales_of_commands_follow_from_the_observation_scales_of_legged_gym(
     """Reference: ``commands_scale`` of legged_gym is (lin_vel, lin_vel, ang_vel)."""
     assert _compare_gym(tmp_path, changes={}).passed
     found = _compare_gym(tmp_path, changes={}, scales="[1.0, 2.0, 1.0]")
-    assert [(one.kind, one.values, str(one.severity)) for one in found.findings] == [
+    assert [
+        (finding.kind, finding.values, str(finding.severity)) for finding in found.findings
+    ] == [
         ("observation commands x", (2.0, 1.0), "error"),
         ("observation commands turn", (0.25, 1.0), "error"),
     ]
@@ -213,8 +217,12 @@ def test_gains_per_motor_are_read_if_the_robot_lacks_a_motor(tmp_path: Path, sli
     )
     found = read_contract(robot.urdf, trainer, deployment, stand=False)
     assert found.unread == ()
-    assert sum(one.quantity == "kp" and one.source == "deploy.yaml" for one in found.facts) == 12
-    wrong = [(one.kind, one.joints) for one in found.findings if one.probable_mistake != "mirror"]
+    assert sum(fact.quantity == "kp" and fact.source == "deploy.yaml" for fact in found.facts) == 12
+    wrong = [
+        (finding.kind, finding.joints)
+        for finding in found.findings
+        if finding.probable_mistake != "mirror"
+    ]
     assert wrong == ([("kp", (motors[7],))] if slip else [])
 
 
@@ -237,7 +245,7 @@ def test_bounds_of_commanded_positions_are_compared_and_limit_the_walk(
     )
     found = read_contract(robot.urdf, trainer, deployment, stand=False)
     hips = tuple(joint for joint in robot.order if joint.endswith("_1"))
-    assert [(one.kind, one.joints, one.values) for one in found.findings] == (
+    assert [(finding.kind, finding.joints, finding.values) for finding in found.findings] == (
         [] if bound == 1.0 else [("highest target", hips, (1.0, bound))]
     )
     read = read_deployment(load("v3"), [trainer, deployment])

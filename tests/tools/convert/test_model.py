@@ -170,7 +170,7 @@ def test_mimic_joints_are_converted_to_couplings(tmp_path: Path) -> None:
     written = ElementTree.parse(back).getroot().find("joint[@name='push']/mimic")
     assert written is not None
     assert written.attrib == {"joint": "lift", "multiplier": "-0.5", "offset": "0.1"}
-    left = [one.code for one in again.not_converted]
+    left = [loss.code for loss in again.not_converted]
     assert left == ["not-in-urdf", "not-in-urdf", "option-not-in-urdf"]  # servos; its integrator
 
 
@@ -525,9 +525,9 @@ def test_base_frame_below_the_feet_keeps_its_position(empty: bool, tmp_path: Pat
         raised = [new(root, "joint", name="up", type="fixed")]
         for tag, link in (("parent", "floor_frame"), ("child", "trunk")):
             new(raised[0], tag, link=link)
-    for each in raised:
-        origin = each.find("origin")
-        origin = new(each, "origin") if origin is None else origin
+    for element in raised:
+        origin = element.find("origin")
+        origin = new(element, "origin") if origin is None else origin
         x, y, z = map(float, origin.get("xyz", "0 0 0").split())
         origin.set("xyz", f"{x} {y} {z + lift}")
     tree.write(path)

@@ -152,7 +152,9 @@ def test_another_com_is_not_explained_by_a_unit_of_lengths(tmp_path: Path, in_ur
     (cause,) = [cause for cause in comparison.causes if cause.kind == "units"]
     explained = [comparison.differences[number] for number in cause.differences]
     assert {difference.kind for difference in explained} >= {"position", "com"}
-    assert ("com", "knee2") not in {(one.kind, one.element) for one in explained}
+    assert ("com", "knee2") not in {
+        (difference.kind, difference.element) for difference in explained
+    }
 
 
 def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:

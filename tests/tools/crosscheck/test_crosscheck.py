@@ -224,7 +224,7 @@ def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> Non
     urdf = urdf_text(parts, ()).replace("</robot>", pack)
     differences = compare_files(write(tmp_path, urdf, mjcf_text(parts, (), free=False))).differences
     (mass,) = [difference for difference in differences if difference.kind == "mass"]
-    assert [str(one) for one in mass.made_of] == [
+    assert [str(message) for message in mass.made_of] == [
         "in the URDF 4 kg: pack 3 kg, rod 1 kg",
         "in the MJCF 1 kg",
     ]

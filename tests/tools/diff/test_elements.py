@@ -49,13 +49,19 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
     assert ("simulation-changes" in codes) is (name in FELT)
     assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
     # Reference of the common effect of all changes: the height in bare MuJoCo.
-    combined = [one for one in diff.combined or messages if one.code == "simulation-changes"]
-    for one in combined:
-        stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
+    combined = [
+        message for message in diff.combined or messages if message.code == "simulation-changes"
+    ]
+    for effect_message in combined:
+        stated = [
+            effect_message.values["higher"],
+            effect_message.values["lower"],
+            effect_message.values["falls"],
+        ]
         (height,) = [value.value for value in stated if value is not None] or [0.0]
         rise = rest_height(after) - rest_height(before)
         assert height == pytest.approx(abs(rise), rel=0.01, abs=MIN_FELT_MOTION)
-        assert (one.values["falls"] is not None) is (name in FALLS)
+        assert (effect_message.values["falls"] is not None) is (name in FALLS)
 
 
 @pytest.mark.slow
@@ -143,7 +149,7 @@ def in_a_scene(file: Path) -> Path:
 @pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
 def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str) -> None:
     """In the air, the contact parameters of the feet would have no effect."""
-    folders = [copy_mjcf(tmp_path / each) for each in ("before", "after")]
+    folders = [copy_mjcf(tmp_path / version) for version in ("before", "after")]
     for folder in folders:
         scene = folder / "pupper_v3.xml"
         assert FLOOR in scene.read_text()
@@ -250,7 +256,7 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
         diff = pa.diff_models(*pair)
         (change,) = diff.changes
         assert (change.kind, change.element) == ("compiler", "fusestatic")
-        assert [one.code for one in diff.combined] == ["simulation-changes"]
+        assert [message.code for message in diff.combined] == ["simulation-changes"]
         assert (change.old_place or change.new_place).endswith("new.xml:2")
     new.write_text(fused.replace('size="0.02"', 'size="0.03"'))
     (shape,) = [change for change in pa.diff_models(old, new).changes if change.kind == "geom"]

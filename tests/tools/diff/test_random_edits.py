@@ -19,8 +19,8 @@ def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
     motion.
     """
     found = compute_answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
-    assert not [one for one in found if not one.right]
-    assert any(one.truth > FELT for one in found)
+    assert not [answer for answer in found if not answer.right]
+    assert any(answer.truth > FELT for answer in found)
 
 
 @pytest.mark.slow
@@ -32,8 +32,8 @@ def test_random_structural_edits_are_reported(tmp_path: Path) -> None:
     (tmp_path / "drawn").mkdir()
     source = write_robot(draw_robot(44), tmp_path / "drawn").mjcf
     found = compute_answers(source, 10, 0, tmp_path, structure=True)
-    assert not [one for one in found if not one.right]
-    assert any(one.truth > FELT for one in found)
+    assert not [answer for answer in found if not answer.right]
+    assert any(answer.truth > FELT for answer in found)
 
 
 @pytest.mark.slow
@@ -45,5 +45,5 @@ def test_random_edits_of_a_random_robot_are_reported(tmp_path: Path, seed: int) 
     (tmp_path / "drawn").mkdir()
     source = write_robot(draw_robot(seed), tmp_path / "drawn").mjcf
     found = compute_answers(source, 12, 1000 * seed, tmp_path)
-    assert not [one for one in found if not one.right]
-    assert any(one.truth > FELT for one in found)
+    assert not [answer for answer in found if not answer.right]
+    assert any(answer.truth > FELT for answer in found)

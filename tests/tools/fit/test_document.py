@@ -169,10 +169,17 @@ def write_document(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
 
 
-@pytest.mark.parametrize("kind", [one for one in PARAMETER_KINDS if one not in SURROUNDINGS_KINDS])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        parameter_kind
+        for parameter_kind in PARAMETER_KINDS
+        if parameter_kind not in SURROUNDINGS_KINDS
+    ],
+)
 def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> None:
-    one = Parameter(kind, "servos", "", 1.0, 0.1)
-    known = describe_parameter(one, 1.5, 0.01, Determined.DATA)
+    name = Parameter(kind, "servos", "", 1.0, 0.1)
+    known = describe_parameter(name, 1.5, 0.01, Determined.DATA)
     fit = replace(motion_fit(), estimates=(known,))
     assert f"{kind} servos" in write_markdown(build_report([("", fit)]))
 
@@ -190,8 +197,8 @@ def test_bars_show_the_residuals() -> None:
 
 if __name__ == "__main__":
     GOLDEN.mkdir(exist_ok=True)
-    for one in RESULTS:
-        (GOLDEN / f"{one}.md").write_text(write_document(one), encoding="utf-8")
+    for name in RESULTS:
+        (GOLDEN / f"{name}.md").write_text(write_document(name), encoding="utf-8")
 
 
 def test_second_lines_of_a_plan_and_of_a_recording_fit_a_terminal() -> None:

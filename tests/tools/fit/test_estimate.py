@@ -66,10 +66,10 @@ def test_estimate_without_measurements_is_the_prior() -> None:
     found = estimate_parameters(given, lambda _, __: LinearisedResiduals.empty(3))
     prior = Posterior.from_prior(given)
     common = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])
-    for one in (found, prior):
-        assert one.mean == pytest.approx(given.stated)
-        assert one.variance_ratios == pytest.approx([1, 1, 1])
-        assert one.covariance == pytest.approx(common * np.outer(given.width, given.width))
+    for estimate in (found, prior):
+        assert estimate.mean == pytest.approx(given.stated)
+        assert estimate.variance_ratios == pytest.approx([1, 1, 1])
+        assert estimate.covariance == pytest.approx(common * np.outer(given.width, given.width))
 
 
 @pytest.mark.parametrize("kind", ["mass", "kp", "friction", "damping", "armature", "delay", "lag"])

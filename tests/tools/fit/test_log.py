@@ -175,10 +175,10 @@ def test_uneven_sampling_intervals_are_reported() -> None:
     good, random = log(), np.random.default_rng(2)
     late = good.time + 0.004 * (np.arange(len(good.time)) % 2)
     found = inspect_log(arm(), replace(good, time=late))
-    assert "log-intervals-uneven" in {one.code for one in found}
+    assert "log-intervals-uneven" in {message.code for message in found}
     shaken = good.time + 0.005 * 0.02 * random.normal(size=len(good.time))
     found = inspect_log(arm(), replace(good, time=shaken))
-    assert "log-intervals-uneven" not in {one.code for one in found}
+    assert "log-intervals-uneven" not in {message.code for message in found}
 
 
 def test_a_joint_whose_position_precedes_its_command_is_reported() -> None:
@@ -187,5 +187,5 @@ def test_a_joint_whose_position_precedes_its_command_is_reported() -> None:
     command, position = good.command.copy(), good.position.copy()
     command[:, 0], position[:, 0] = good.position[:, 0], good.command[:, 0]
     found = inspect_log(arm(), replace(good, command=command, position=position))
-    (finding,) = [one for one in found if one.code == "position-leads-command"]
+    (finding,) = [message for message in found if message.code == "position-leads-command"]
     assert finding.values["joints"] == ("shoulder",)

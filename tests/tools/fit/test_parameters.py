@@ -50,7 +50,7 @@ def test_last_matching_prior_counts_and_unmatched_prior_is_refused() -> None:
     stated = [("mass", "base", "", 2.0), ("mass", "calf", "", 0.1), ("kp", "knee", "", 5.0)]
     priors = [parse_prior(text) for text in ("mass=10%", "mass:calf=50g", "kp=0")]
     found = apply_priors(stated, priors)
-    assert [(one.name, one.width) for one in found] == [
+    assert [(parameter.name, parameter.width) for parameter in found] == [
         ("mass base", pytest.approx(0.2)),
         ("mass calf", pytest.approx(0.05)),
     ]
@@ -69,7 +69,7 @@ def test_share_of_a_stated_value_of_zero_is_refused_with_an_absolute_prior() -> 
         assert prior.width == PARAMETER_KINDS[prior.kind].width
         priors = [parse_prior(given), prior]
         assert len(apply_priors(stated, priors)) == 3
-    assert [one.name for one in apply_priors(stated, [parse_prior("com=0%")])] == ["load scale"]
+    assert [prior.name for prior in apply_priors(stated, [parse_prior("com=0%")])] == ["load scale"]
 
 
 def test_prior_of_a_subject_with_brackets_concerns_this_subject() -> None:

@@ -54,7 +54,7 @@ def test_number_of_rare_stands_is_bounded() -> None:
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5))
     rows[:6] *= 10  # the most informative
-    each, rare = [one.T @ one for one in rows], [True] * 6 + [False] * 6
+    each, rare = [row.T @ row for row in rows], [True] * 6 + [False] * 6
     assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6)) > 4
     assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6, rare, 2)) == 2
     assert len(set(choose_stands(each, np.eye(5), 9, rare, 2))) == 9  # there are no others
@@ -78,7 +78,7 @@ def test_plan_has_known_masses_rotations_and_few_three_leg_stands(tmp_path: Path
     np.testing.assert_allclose(read.heading, [stand.heading for stand in plan.stands], atol=1e-6)
     masses = [[stand.added, *(at if stand.added else (0, 0, 0))] for stand in plan.stands]
     np.testing.assert_allclose(read.added["base_link"], masses)
-    narrowed = {one.name: one.std for one in plan.expected}
+    narrowed = {estimate.name: estimate.std for estimate in plan.expected}
     assert narrowed["kp leg_front_r_3"] < 0.5 * 1.5  # without a known mass, and no scale: 0.72
     assert narrowed["added base_link"] > 0.9 * 0.005
     assert plan.more_stands_help  # a plan of 12 stands determines every kp
@@ -129,12 +129,12 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
     weights = factors * masses
     places = coms + np.einsum("bij,nbj->nbi", axes, offsets)
     found = np.einsum("nb,nbi->ni", weights, places) / weights.sum(axis=1)[:, None]
-    for one in range(3):
-        requested = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
+    for row in range(3):
+        requested = {f"mass:{link}": factors[row, at] for at, link in enumerate(links)}
         for at, link in enumerate(links):
-            requested |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
+            requested |= {f"com_{axis}:{link}": offsets[row, at, i] for i, axis in enumerate("xyz")}
         drawn = Configuration(scale_robot(robot, requested), robot.make_qpos(robot.nominal))
-        assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
+        assert found[row] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
     aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
     assert plan.compute_com_std(robot, known) == pytest.approx(aside, rel=0.05)

@@ -153,8 +153,8 @@ def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
     late = np.array(positions)[50:]
     vectors = np.array([[lag, lag, lag], [lag, lag, 0], [0, 0, lag], [0, 0, 0]])
     off = [
-        np.abs(one[50 : len(positions)] - late).max()
-        for one in simulator.predict_positions(run, vectors)
+        np.abs(position[50 : len(positions)] - late).max()
+        for position in simulator.predict_positions(run, vectors)
     ]
     assert off[0] < 1e-4
     assert min(off[1:]) > 1e-3

@@ -403,9 +403,11 @@ def test_the_whole_com_is_that_of_the_planted_robot(
     """Reference: Pinocchio's CoM [m] of the planted robot."""
     fit = fit_stands(robot, stands, weight=planted.total_mass)
 
-    found, truth = np.array([one.mean for one in fit.com]), compute_com(planted)
-    np.testing.assert_allclose([one.stated for one in fit.com], compute_com(robot), atol=1e-12)
-    half = np.array([one.high - one.mean for one in fit.com])
+    found, truth = np.array([estimate.mean for estimate in fit.com]), compute_com(planted)
+    np.testing.assert_allclose(
+        [estimate.stated for estimate in fit.com], compute_com(robot), atol=1e-12
+    )
+    half = np.array([estimate.high - estimate.mean for estimate in fit.com])
     assert (np.abs(found - truth) < half).all()
     # A link's own com is known to 20 mm. (16 planned stands, half of them turned: 1 mm.) With legs
     # that are as long as the file says, 5 mm.
@@ -474,7 +476,7 @@ def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
     assert fit.kp_over_mass is not None
     true = robot.total_mass / planted.total_mass
     assert fit.kp_over_mass.low < true < fit.kp_over_mass.high
-    (found,) = (one for one in fit.estimates if one.kind == "deadband")
+    (found,) = (estimate for estimate in fit.estimates if estimate.kind == "deadband")
     assert found.low < -band.mean() < found.high < 0
     (finding,) = (failure for failure in fit.failures if failure.code == "torques-off")
     assert finding.values["times"] == pytest.approx(times, rel=0.4)
@@ -694,7 +696,11 @@ def test_plugs_are_not_doubted_if_an_exchange_explains_less(
 
         return find_wiring(robot, stands, evidence, lambda _: explains) is not None
 
-    assert [is_exchange_found(one) for one in (-1.0, 1.0, -math.inf)] == [False, True, False]
+    assert [is_exchange_found(evidence) for evidence in (-1.0, 1.0, -math.inf)] == [
+        False,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.slow
@@ -989,7 +995,7 @@ def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
         return tuple(Parameter("length", foot, "", 1.0, width) for foot in ("FL", "FR", "RL", "RR"))
 
     found = list(check_surroundings(make_posterior(legs(width), 1 + off, noise)))
-    assert [one.subject.name for one in found if one.subject] == ["FL", "FR", "RR"]
+    assert [message.subject.name for message in found if message.subject] == ["FL", "FR", "RR"]
     assert found[2].values["longer"] == pytest.approx(-100 * 2.3 * sigma)
     assert not list(check_surroundings(make_posterior(legs(width), 1 + 0.8 * off, noise)))
     assert not list(check_surroundings(make_posterior(legs(0.05), 1 + off, noise * width / 0.05)))
@@ -1004,8 +1010,11 @@ def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
 @pytest.mark.parametrize(
     ("typed", "random", "band", "named"),
     [
-        *((1.0, *one) for one in ((3.9, 0.0, False), (2.0, 2.1, True), (2.0, -2.1, False))),
-        *((20.0, *one) for one in ((30.0, 0.0, False), (10.0, 1.6, True), (10.0, 1.4, False))),
+        *((1.0, *numbers) for numbers in ((3.9, 0.0, False), (2.0, 2.1, True), (2.0, -2.1, False))),
+        *(
+            (20.0, *numbers)
+            for numbers in ((30.0, 0.0, False), (10.0, 1.6, True), (10.0, 1.4, False))
+        ),
     ],
 )
 def test_expected_friction_limits_the_stated_friction(
@@ -1022,7 +1031,7 @@ def test_expected_friction_limits_the_stated_friction(
     known = replace(known, rows=100, chi2=100.0)
     found = StandNoise(1e-4, friction=random)
     messages = check_residuals(known, found, StandNoise(1e-4, friction=typed), stuck)
-    assert ("torques-off" in [one.code for one in messages]) == named
+    assert ("torques-off" in [message.code for message in messages]) == named
 
 
 def test_unknown_load_is_reported_with_the_scale(robot: Robot) -> None:

@@ -166,7 +166,7 @@ def test_shaded_region_of_the_plot_is_stable_and_its_outside_is_not() -> None:
     assert get_english(plot.title) == "Stable gains: explicit PD at 500 Hz, delay 10 ms"
     assert plot.x.logarithmic
     assert plot.y.logarithmic
-    series = {get_english(one.name): one for one in plot.series}
+    series = {get_english(curve.name): curve for curve in plot.series}
     least = series["least kp"]
     assert set(least.x) == {study.least_kp_alone}  # type: ignore[arg-type]
     region = series["stable (linear model)"]
@@ -414,8 +414,8 @@ def test_large_and_near_gains_are_readable() -> None:
     """
     study = gains_of("v3")
     classes = tuple(
-        replace(one, kp=1304.0, kd=1.7, recommended_kp=1304.0, recommended_kd=65.2)
-        for one in study.classes
+        replace(joint_class, kp=1304.0, kd=1.7, recommended_kp=1304.0, recommended_kd=65.2)
+        for joint_class in study.classes
     )
     most = replace(study.largest_kd, factor=0.9994)
     document = gains_document(replace(study, classes=classes, largest_kd=most))

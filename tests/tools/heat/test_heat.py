@@ -63,14 +63,14 @@ def test_losses_and_temperatures_follow_from_the_torques() -> None:
     study = study_heat(robot, stand_of("v3"), motors_of(motor), battery_energy=3600.0)
     statics = pa.stance.stand_statics(robot, study.stand)
     np.testing.assert_array_equal([motor.torque for motor in study.motors], statics.joint_torques)
-    for one in study.motors:
-        assert one.current == pytest.approx(abs(one.torque) / 0.1133)
-        final = one.steady_temperature
+    for motor_heat in study.motors:
+        assert motor_heat.current == pytest.approx(abs(motor_heat.torque) / 0.1133)
+        final = motor_heat.steady_temperature
         assert final is not None
-        loss = one.current**2 * 0.376 * (1 + 0.00393 * (final - 65))
-        assert one.steady_loss == pytest.approx(loss)
+        loss = motor_heat.current**2 * 0.376 * (1 + 0.00393 * (final - 65))
+        assert motor_heat.steady_loss == pytest.approx(loss)
         assert final == pytest.approx(21 + loss * (1.0702867186480716 + 1.9406620046327363))
-        assert one.time_to_limit == math.inf
+        assert motor_heat.time_to_limit == math.inf
     assert study.loss == pytest.approx(sum(motor.loss for motor in study.motors))
     assert study.battery_time == pytest.approx(3600 / study.loss)
     assert study.battery_current is None  # the voltage of this motor is unknown
@@ -160,7 +160,7 @@ def test_motor_that_cannot_exert_the_torque_is_too_weak() -> None:
         supply_voltage=6.0,
     )
     study = make_study(motor)
-    assert {one.joint[-2:] for one in study.weak} == {"_3"}
+    assert {motor_heat.joint[-2:] for motor_heat in study.weak} == {"_3"}
     assert not study.passed
     assert study.first.largest_torque == pytest.approx(0.4)
     assert study.first.limiting_number == "supply_voltage"
@@ -286,7 +286,9 @@ def test_dcmotors_of_the_mjcf_are_the_motors_of_the_robot(tmp_path: Path) -> Non
         done = answer("heat", str(mjcf), "--limit", "80", *words, "--json", str(data))
         assert done.returncode == 0, done.stderr
     first, second = (json.loads(data.read_text())["motors"] for data in (read, given))
-    assert [one["current"] for one in first] == pytest.approx([one["current"] for one in second])
+    assert [motor_row["current"] for motor_row in first] == pytest.approx(
+        [one["current"] for one in second]
+    )
     assert first[0]["motor"] == "leg_front_r_1"
     assert second[0]["motor"] == "weak"
 
@@ -629,10 +631,10 @@ def test_each_column_of_the_table_has_its_number() -> None:
         "time to limit": ("10.0", "min"),
     }  # fmt: skip
     assert [weak.too_weak for weak in study.motors] == [False, True, True]
-    counts = [get_english(one) for one in heat_document(study).failures]
+    counts = [get_english(failure) for failure in heat_document(study).failures]
     assert any(line.startswith("2 of 3 motors cannot") for line in counts)
     cool = replace(study, motors=(motor,))
-    losses = [get_english(one) for one in heat_document(cool).findings]
+    losses = [get_english(finding) for finding in heat_document(cool).findings]
     assert "copper loss of all motors 13.5 W = 0.562 A at 24 V" in losses
 
 

@@ -397,7 +397,10 @@ def test_worst_postures_of_a_polynomial_coupling_equal_mujoco(
 
     Without refinement the end of the range would be exceeded by 17 %, and a narrow peak by 7 %.
     """
-    words = [" ".join(map(str, [*one[::-1], *[0.0] * (5 - len(one))])) for one in (bent, rest)]
+    words = [
+        " ".join(map(str, [*coefficients[::-1], *[0.0] * (5 - len(coefficients))]))
+        for coefficients in (bent, rest)
+    ]
     coupled = (
         f'<equality><joint joint1="mid" joint2="root" polycoef="{words[0]}"/>'
         f'<joint joint1="tip" joint2="mid" polycoef="{words[1]}"/></equality>'

@@ -43,7 +43,7 @@ def test_path_without_motion_names_the_options_of_a_goal() -> None:
     assert isinstance(first, Text)
     assert isinstance(second, Text)
     assert first.short == "no motion; load 32.1 % of the limit (knee)"
-    options = {option for one in command.params for option in one.opts}
+    options = {option for param in command.params for option in param.opts}
     assert options >= {word.strip(",") for word in second.short.split() if word.startswith("--")}
     assert options >= set(re.findall(r"--[a-z]+", second.en))
     assert len(second.short) < MAX_ANSWER_WIDTH / 2

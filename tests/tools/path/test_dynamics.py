@@ -247,8 +247,8 @@ def test_accelerations_are_derivatives_of_velocities() -> None:
     now, before, after = at(0.0), at(-step), at(step)
     for foot, found in now.foot_accelerations(qacc).items():
         frame = robot.contact_frames[foot]
-        rates = [one.frame_jacobian(frame) @ one.qvel for one in (before, after)]
+        rates = [config.frame_jacobian(frame) @ config.qvel for config in (before, after)]
         np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)
-    rates = [one.com_jacobian() @ one.qvel for one in (before, after)]
+    rates = [config.com_jacobian() @ config.qvel for config in (before, after)]
     found = now.com_acceleration(qacc)
     np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)

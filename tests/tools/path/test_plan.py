@@ -36,7 +36,7 @@ def lift(name: str, foot: str, height: float = 0.02) -> list[pa.StandTask]:
     """Shift the weight on to three legs, lift the fourth, hold, set it down, shift back."""
     robot = load(name)
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
-    x, y = np.mean([feet[other][:2] for other in robot.contact_points if other != foot], axis=0)
+    x, y = np.mean([feet[point][:2] for point in robot.contact_points if point != foot], axis=0)
     over, up = Task(com=(x, y)), Task(com=(x, y), swing={foot: height})
     return [Task(), over, up, up, over, Task()]
 

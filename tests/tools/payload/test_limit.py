@@ -459,7 +459,7 @@ def test_loaded_robots_of_a_search_are_freed(monkeypatch: pytest.MonkeyPatch) ->
     def load_and_count(*arguments: Any) -> pa.Robot:
         loaded = with_payload(*arguments)
         made.append(ref(loaded))
-        alive.append(sum(one() is not None for one in made))
+        alive.append(sum(reference() is not None for reference in made))
         return loaded
 
     monkeypatch.setattr(soft_ground, "with_payload", load_and_count)

@@ -294,7 +294,7 @@ def test_early_termination_does_not_change_the_outcome(name: str) -> None:
         bench.simulate_until_decided(directions, impulses),
         bench.simulate_fully(directions, impulses),
     )
-    assert [one is None for one in early] == [one is None for one in complete]
+    assert [failure is None for failure in early] == [one is None for one in complete]
     assert None in complete
     assert any(complete)
 

@@ -204,7 +204,7 @@ def test_explanation_equals_the_loaded_robot(tmp_path: Path) -> None:
     assert explained.feet == tuple(robot.feet)
     assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
     _, runs = prepare_robot(*files, LoadRequest())
-    assert [one.name for one in explained.passes] == [run.name for run in runs]
+    assert [run_pass.name for run_pass in explained.passes] == [run.name for run in runs]
 
 
 @pytest.mark.slow
@@ -217,9 +217,13 @@ def test_explain_prints_the_passes_in_their_order(
     status, out, err = run_command(capfd, *words)
     assert status == 0, err
     passes = json.loads(path.read_text())["passes"]
-    names = [one["name"] for one in passes]
-    assert names == [one.name for one in PREPARATION_PASSES if one.name in names]
-    printed_names = [one["name"] for one in passes if one["done"]]
+    names = [run_pass["name"] for run_pass in passes]
+    assert names == [
+        preparation_pass.name
+        for preparation_pass in PREPARATION_PASSES
+        if preparation_pass.name in names
+    ]
+    printed_names = [run_pass["name"] for run_pass in passes if run_pass["done"]]
     assert "add-servos" in printed_names
     places = [out.index(f"\n{name} ") for name in printed_names]
     assert places == sorted(places)

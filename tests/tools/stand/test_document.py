@@ -26,7 +26,7 @@ from tests.support.stubs import SERVO_BOUNDS, SERVOS, Stub, run, stance
 
 def hold_stance(largest_kd_factor: float) -> object:
     """Return a stance that holds with kd 16, and a bound of kd of an explicit controller."""
-    classes = tuple(replace(one, kp=320.0, kd=16.0) for one in SERVO_BOUNDS.classes)
+    classes = tuple(replace(joint_class, kp=320.0, kd=16.0) for joint_class in SERVO_BOUNDS.classes)
     bounds = replace(
         SERVO_BOUNDS,
         classes=classes,
@@ -86,7 +86,7 @@ def test_gain_beyond_its_bound_is_stated_as_such(
     least: float, largest: float, integrator: str, shown: str
 ) -> None:
     """Reference: the gains times the factors of the bounds."""
-    classes = tuple(replace(one, kp=320.0, kd=16.0) for one in SERVO_BOUNDS.classes)
+    classes = tuple(replace(joint_class, kp=320.0, kd=16.0) for joint_class in SERVO_BOUNDS.classes)
     bounds = replace(
         SERVO_BOUNDS,
         classes=classes,
@@ -145,7 +145,9 @@ def test_rounded_bound_stays_on_its_side_of_the_gain(
 
 
 def test_table_has_a_bound_below_the_gain() -> None:
-    classes = tuple(replace(one, kd=1.7, largest_kd=1.699) for one in SERVO_BOUNDS.classes)
+    classes = tuple(
+        replace(joint_class, kd=1.7, largest_kd=1.699) for joint_class in SERVO_BOUNDS.classes
+    )
     bounds = replace(SERVO_BOUNDS, classes=classes, largest_kd_factor=0.9994)
     assert "1.69 " in " ".join(print_words(stance_document(stance(servos=bounds))))
 

@@ -54,7 +54,9 @@ def test_study_report_counts_equal_the_table() -> None:
     assert unreachable.designs == 6  # of one height
     assert unreachable.share == pytest.approx(1 / 3)
     assert "500.0 mm" in unreachable.reason
-    sag = next(one for one in found.measured if one.metric == "servo_sag")
+    sag = next(
+        metric_result for metric_result in found.measured if metric_result.metric == "servo_sag"
+    )
     known = table["servo_sag"].dropna()
     assert (sag.minimum, sag.median, sag.maximum) == (known.min(), known.median(), known.max())
     assert sag.designs == len(known) == 12
@@ -88,7 +90,7 @@ def test_main_effects_on_a_full_grid_equal_the_closed_form(tmp_path: Path) -> No
     assert sag.interaction == pytest.approx(1 - sum(sag.main_effects.values()), abs=1e-12)
     assert sag.main_effects["kp"] > sag.main_effects["leg_scale"] > 0.05
     missing = replace(found, measured=(replace(sag, designs=3, interaction=None),))
-    rows = [write_markdown(Report("", (study_document(one),))) for one in (found, missing)]
+    rows = [write_markdown(Report("", (study_document(outcome),))) for outcome in (found, missing)]
     assert "interaction" in rows[0]
     assert "4 of 4" in rows[0]
     assert "3 of 4" in rows[1]
@@ -160,7 +162,9 @@ def test_page_has_each_main_effect_beside_its_variable() -> None:
     effects = next(
         rows for title, rows in outcome_page().tables().items() if title.startswith("Sensitivity")
     )
-    (sag,) = (one for one in found.measured if one.metric == "servo_sag")
+    (sag,) = (
+        metric_result for metric_result in found.measured if metric_result.metric == "servo_sag"
+    )
     assert len({f"{share:.1%}" for share in sag.main_effects.values()}) == len(sag.main_effects)
     for name, share in sag.main_effects.items():
         (row,) = (r for r in effects if (r["metric"], r["parameter"]) == ("servo_sag", name))
@@ -194,7 +198,8 @@ def test_markup_in_the_names_of_a_study_is_escaped() -> None:
         variables={names.get(name, name): given for name, given in found.variables.items()},
         objectives={names.get(name, name): sense for name, sense in found.objectives.items()},
         measured=tuple(
-            replace(one, metric=names.get(one.metric, one.metric)) for one in found.measured
+            replace(metric_result, metric=names.get(metric_result.metric, metric_result.metric))
+            for metric_result in found.measured
         ),
         failures=tuple(
             replace(failure, kind=EVIL[1], reason=EVIL[0]) for failure in found.failures
@@ -281,7 +286,7 @@ def test_pareto_front_is_plotted_and_listed() -> None:
     assert [axis.unit for axis in (plot.x, plot.y)] == ["%", "mm"]
     (table,) = (block for block in document.blocks if "Pareto" in str(getattr(block, "title", ""))
                 and isinstance(block, Table))  # fmt: skip
-    numbers = [found.table["design"].tolist().index(one) + 1 for one in found.front["design"]]
+    numbers = [found.table["design"].tolist().index(design) + 1 for design in found.front["design"]]
     assert [row[0].value for row in table.rows] == numbers
     sags = [row[2].value for row in table.rows]
     assert sags == pytest.approx((1e3 * found.front["servo_sag"]).tolist())

@@ -114,7 +114,7 @@ def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
     upper = {
         joint: next(joint.name for joint in urdf.child_joints[link] if joint.moves)
         for joint, link in urdf.moved_links.items()
-        if sum(one.moves for one in urdf.child_joints.get(link, ())) == 1
+        if sum(child_joint.moves for child_joint in urdf.child_joints.get(link, ())) == 1
     }
     measurable = [joint for joint in with_length(own) if joint in upper][:2]
     found = {

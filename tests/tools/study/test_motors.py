@@ -64,7 +64,9 @@ def test_motors_change_mass_effort_speed_inertia_and_gains() -> None:
     index = robot.joint_names.index(joint)
     assert found.total_mass == pytest.approx(robot.total_mass + 0.06, rel=1e-12)
     assert found.mj_model.body_mass.sum() == pytest.approx(found.total_mass, rel=1e-9)
-    before, after = (Configuration(one, one.neutral()).center_of_mass() for one in (robot, found))
+    before, after = (
+        Configuration(model, model.neutral()).center_of_mass() for model in (robot, found)
+    )
     data = robot.compute_kinematics()
     anchor = data.xanchor[robot.mj_model.joint(joint).id]
     expected = (robot.total_mass * before + 0.06 * anchor) / found.total_mass

@@ -36,7 +36,7 @@ def test_pareto_front_dominates_all_other_designs() -> None:
         return bool((signs * one <= signs * other).all() and (one != other).any())
 
     complete = table.dropna().to_numpy()
-    expected = [row for row in complete if not any(beats(other, row) for other in complete)]
+    expected = [row for row in complete if not any(beats(rival, row) for rival in complete)]
     assert sorted(map(tuple, front.to_numpy())) == sorted(map(tuple, expected))
     assert list(front["a"]) == sorted(front["a"])
     assert 3 < len(front) < 100

@@ -564,7 +564,7 @@ def test_visual_shapes_with_mass_are_kept() -> None:
     names = {geom.name for geom in found.geoms}
     assert {"heavy", "of_water"} <= names
     assert "light" not in names
-    masses = [one.compile().body_mass.sum() for one in (spec, found)]
+    masses = [compilable.compile().body_mass.sum() for compilable in (spec, found)]
     assert masses[0] == pytest.approx(masses[1], rel=1e-12)
 
 

@@ -91,11 +91,13 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
     model = mujoco.MjModel.from_xml_path(str(heavy.mjcf))
     for leg in ("front_r", "front_l", "back_r", "back_l"):
         hip, knee = f"leg_{leg}_1", f"leg_{leg}_3"
-        old, new = (one.inertias[one.getJointId(hip)].mass for one in (base.pin_model, urdf))
+        old, new = (model.inertias[model.getJointId(hip)].mass for model in (base.pin_model, urdf))
         assert new == pytest.approx(1.1 * old, rel=1e-9)
-        old, new = (one.inertias[one.getJointId(knee)].mass for one in (base.pin_model, urdf))
+        old, new = (model.inertias[model.getJointId(knee)].mass for model in (base.pin_model, urdf))
         assert new == pytest.approx(1.2 * old, rel=1e-9)
-    assert model.body_mass.sum() == pytest.approx(sum(one.mass for one in urdf.inertias), rel=1e-9)
+    assert model.body_mass.sum() == pytest.approx(
+        sum(inertia.mass for inertia in urdf.inertias), rel=1e-9
+    )
     assert model.actuator_gainprm[:, 0] == pytest.approx(10.0)
     assert model.actuator_biasprm[:, 1] == pytest.approx(-10.0)
 
@@ -153,7 +155,10 @@ def test_files_of_another_robot_are_reported(
     monkeypatch.setattr(write, "load_robot", heavier)
     found = write_design(study, 2, heavy.urdf.parent.parent)
     assert not found.passed
-    assert {one.values["metric"] for one in found.failures} >= {"total_mass", "peak_utilisation"}
+    assert {failure.values["metric"] for failure in found.failures} >= {
+        "total_mass",
+        "peak_utilisation",
+    }
 
 
 def test_metric_that_fails_for_the_written_files_is_reported(

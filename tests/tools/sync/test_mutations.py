@@ -249,7 +249,7 @@ def restore_by_sync(pair: Pair, seed: int) -> str | None:
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     pair = write_model(model, folder / model)
     done = [restore_by_sync(pair, seed) for seed in range(6)]
-    assert sum(one is not None for one in done) >= 1
+    assert sum(description is not None for description in done) >= 1
 
 
 @pytest.mark.slow

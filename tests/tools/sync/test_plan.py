@@ -356,9 +356,9 @@ def test_values_that_a_urdf_cannot_state_are_reported(tmp_path: Path) -> None:
         ("urdf", "only in the MJCF: delete the element there by hand"),
     ):
         result = sync(files, side, dry_run=True)
-        assert [(one.difference, str(one.reason)) for one in result.not_mended] == [
-            ("joint knee1: spring", said)
-        ]
+        assert [
+            (remaining.difference, str(remaining.reason)) for remaining in result.not_mended
+        ] == [("joint knee1: spring", said)]
         assert [edit.attribute for edit in result.edits] == ["value" if side == "mjcf" else "mass"]
         assert not result.agree
 

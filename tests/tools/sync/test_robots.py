@@ -42,11 +42,11 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     result = pa.sync_models(*files, take=side, tolerances=Tolerances.fine())
     assert len(result.differences) > 25
     reason, count = UNWRITTEN.get((robot, side), ("", 0))
-    assert [one.reason.code for one in result.not_mended] == [reason] * count
+    assert [remaining.reason.code for remaining in result.not_mended] == [reason] * count
     compared = compare_files(*files, tolerances=Tolerances.strict()).result
     assert compared.agree is (not count)
     left = {f"{difference.element}: {difference.kind}" for difference in compared.differences}
-    assert left == {one.difference.removeprefix("joint ") for one in result.not_mended}
+    assert left == {remaining.difference.removeprefix("joint ") for remaining in result.not_mended}
     assert max(compared.deviations.values()) < 1e-9
     # Lines without a number that is written are the same lines.
     for old, new in zip((urdf, mjcf), files, strict=True):

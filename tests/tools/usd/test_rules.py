@@ -38,7 +38,7 @@ def test_usd_fault_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     change, prim = SLIPS[rule]
     path = usd.write(tmp_path, change)
     found = [finding for finding in audit_model(path).findings if finding.rule == rule]
-    assert [one.prim for one in found] == [prim]
+    assert [finding.prim for finding in found] == [prim]
     assert found[0].file == str(path)
     assert found[0].line is None
 

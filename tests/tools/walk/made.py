@@ -34,19 +34,21 @@ def external_tensor(name: str, values: Any, location: str, **entries: int) -> by
 
 
 def node(kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...], **given: Any) -> bytes:
-    data = b"".join(field(1, one) for one in inputs) + b"".join(field(2, one) for one in outputs)
+    data = b"".join(field(1, name) for name in inputs) + b"".join(
+        field(2, output) for output in outputs
+    )
     data += field(3, f"{kind}-{outputs[0]}") + field(4, kind)
     for name, number in given.items():
-        one = field(1, name)
+        encoded = field(1, name)
         if isinstance(number, float):
-            one += varint(2 << 3 | 5) + struct.pack("<f", number) + field(20, 1)
+            encoded += varint(2 << 3 | 5) + struct.pack("<f", number) + field(20, 1)
         elif isinstance(number, list):
-            one += b"".join(field(8, each % 2**64) for each in number) + field(20, 7)
+            encoded += b"".join(field(8, integer % 2**64) for integer in number) + field(20, 7)
         elif isinstance(number, str):
-            one += field(4, number) + field(20, 3)
+            encoded += field(4, number) + field(20, 3)
         else:
-            one += field(3, number % 2**64) + field(20, 2)
-        data += field(5, one)
+            encoded += field(3, number % 2**64) + field(20, 2)
+        data += field(5, encoded)
     return data
 
 
@@ -58,10 +60,10 @@ def onnx(
     metadata: dict[str, str] | None = None,
     opset: int = 13,
 ) -> bytes:
-    graph = b"".join(field(1, one) for one in nodes) + field(2, "graph")
-    graph += b"".join(field(5, one) for one in tensors)
-    graph += b"".join(field(11, one) for one in inputs)
-    graph += b"".join(field(12, one) for one in outputs)
+    graph = b"".join(field(1, encoded) for encoded in nodes) + field(2, "graph")
+    graph += b"".join(field(5, encoded) for encoded in tensors)
+    graph += b"".join(field(11, name) for name in inputs)
+    graph += b"".join(field(12, output) for output in outputs)
     data = field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, opset))
     for key, text in (metadata or {}).items():
         data += field(14, field(1, key) + field(2, text))

@@ -356,7 +356,7 @@ def test_interval_of_a_fit_is_compared_with_the_tracked_interval(still: Policy) 
     held = tracked_intervals(
         robot, still, (0, 0, 0), seeds=1, quantities=tuple(weak), seconds=3, measured=weak
     )
-    assert [one.inside for one in held.intervals] == [False, True]
+    assert [interval.inside for interval in held.intervals] == [False, True]
     assert not held.passed
 
 
@@ -447,7 +447,9 @@ def test_candidates_that_walk_equally_are_not_determined(tmp_path: Path) -> None
     found = rank_trot_orders(policy.with_contract(newest_first=True))
     assert found.passed
     assert not found.determined
-    alike = {(found.candidates[one].change, found.candidates[one].detail) for one in found.alike}
+    alike = {
+        (found.candidates[index].change, found.candidates[index].detail) for index in found.alike
+    }
     assert ("history", "oldest first") in alike
 
 

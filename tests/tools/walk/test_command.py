@@ -153,7 +153,9 @@ def test_payload_and_pushes_are_printed_in_kilograms_and_newton_seconds(
     )  # fmt: skip
     assert status == 0, err
     found = json.loads(path.read_text())
-    forward, left, payload = (one["common"][1] * found["mass"] for one in found["intervals"])
+    forward, left, payload = (
+        interval["common"][1] * found["mass"] for interval in found["intervals"]
+    )
     assert f"{forward:.3g} N s forward" in out
     assert f"{left:.3g} N s to the left" in out
     assert f"base: {payload:.3g} kg" in " ".join(out.split())

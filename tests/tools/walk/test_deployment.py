@@ -84,7 +84,7 @@ def test_deployment_gives_the_same_walk_as_a_toml(tmp_path: Path) -> None:
     robot = load("v3")
     found = Policy.load(policy, deployment=read_deployment(robot, [deploy], policy))
     stated = Policy.load(policy, toml)
-    walks = [simulate_walk(robot, one, (0.1, 0, 0), seconds=3.0) for one in (found, stated)]
+    walks = [simulate_walk(robot, policy, (0.1, 0, 0), seconds=3.0) for policy in (found, stated)]
     assert (walks[0].gaits[0].motion == walks[1].gaits[0].motion).all()
     assert walks[0].limits == pytest.approx(np.full(12, 2.5))
     assert (walks[0].limits == walks[1].limits).all()

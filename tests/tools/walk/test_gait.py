@@ -239,7 +239,7 @@ def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
     [run] = simulate_cases(stage, [stage.make_case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
     states = run.states[round(1.0 / stage.timestep) :: stage.substeps]
     seen, _ = sample_ground_support(stage, run.case.model, states, statics=True)
-    whole = np.sqrt(np.mean([one.static**2 for one in seen], axis=0))
+    whole = np.sqrt(np.mean([support.static**2 for support in seen], axis=0))
     assert measure_gait(stage, run, 1.0).static == pytest.approx(whole, abs=1e-12)
     weight, pairs, data = robot.total_mass * 9.81, 0, mujoco.MjData(stage.model)
     for state, moment in zip(states, seen, strict=True):
@@ -326,7 +326,7 @@ def test_motors_of_a_walk_are_compared_with_torques_at_their_speeds(still: Polic
     assert (gait.beyond_region == 0).all()
     weak = dict.fromkeys(robot.joint_names[2::3], replace(strong, supply_voltage=0.1))
     failed = simulate_walk(robot, still, (0, 0, 0), motors=weak, **arguments)
-    assert all(one.tracks for one in failed.gaits)
+    assert all(gait.tracks for gait in failed.gaits)
     assert not failed.passed
     assert failed.gaits[0].beyond_region[2::3] == pytest.approx(1.0)
     assert np.isnan(failed.gaits[0].beyond_region[0::3]).all()

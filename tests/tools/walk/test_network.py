@@ -148,8 +148,8 @@ def made_graphs() -> dict[str, bytes]:
             made.node("Squeeze", ("hn", "axes"), ("s",)),
             made.node("MatMul", ("s", "V"), ("act",)),
         ]
-        inputs = [made.value("obs", 1, 6), *(made.value(one, 1, 1, u) for one in states)]
-        outputs = [made.value("act", 1, 2), *(made.value(f"{one}n", 1, 1, u) for one in states)]
+        inputs = [made.value("obs", 1, 6), *(made.value(state, 1, 1, u) for state in states)]
+        outputs = [made.value("act", 1, 2), *(made.value(f"{state}n", 1, 1, u) for state in states)]
         graphs[name] = made.onnx(nodes, tensors, inputs, outputs)
     return graphs
 

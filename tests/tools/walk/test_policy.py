@@ -152,7 +152,7 @@ def places_in(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...
         for key in value:
             yield from places_in(value[key], (*path, key))
     if isinstance(value, list):
-        same = value and all(isinstance(one, float) for one in value)
+        same = value and all(isinstance(entry, float) for entry in value)
         for index in range(1 if same else len(value)) if len(value) < 20 else (0, len(value) - 1):
             yield from places_in(value[index], (*path, index))
 

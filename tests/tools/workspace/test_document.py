@@ -98,7 +98,7 @@ def test_plot_has_a_bar_per_direction_between_its_ends() -> None:
 
 def test_limits_that_are_too_wide_are_abbreviated() -> None:
     """Reference: the line has 100 columns, of which 42 precede the limits."""
-    ends = [diagnose(f"workspace-ends-at-{one}") for one in ("reach", "support", "full-turn")]
+    ends = [diagnose(f"workspace-ends-at-{reason}") for reason in ("reach", "support", "full-turn")]
     names = ("height", "x", "y", "roll", "pitch", "yaw")
     result = SimpleNamespace(limits=dict.fromkeys(names, (ends[0], ends[0])))
     result.limits |= {"x": (ends[1], ends[1]), "roll": (ends[2], ends[2])}
