@@ -65,14 +65,14 @@ class Hang(BaseException):
     """Raised in a reader that has not ended in time."""
 
 
-def _csv(separator: str) -> bytes:
+def _make_csv_log(separator: str) -> bytes:
     """Return a log of one joint as CSV with this separator."""
     header = separator.join(["time [ms]", "position.hip [deg]", "command.hip"])
     rows = [separator.join([str(5 * row), f"{0.1 * row}", f"{0.002 * row}"]) for row in range(120)]
     return "\n".join([header, *rows]).encode()
 
 
-def _stl() -> bytes:
+def _make_stl() -> bytes:
     """Return a binary STL of 20 random triangles."""
     corners = np.random.default_rng(0).normal(size=(20, 12)).astype("<f4")
     return bytes(80) + struct.pack("<I", 20) + b"".join(row.tobytes() + b"\0\0" for row in corners)
@@ -145,8 +145,8 @@ def list_fit_kinds() -> tuple[Kind, ...]:
     from pupper_analysis.tools.fit.measurements.stands import read_stands
 
     return (
-        Kind("log.csv", _csv(","), read_log),
-        Kind("semicolons.csv", _csv(";"), read_log),
+        Kind("log.csv", _make_csv_log(","), read_log),
+        Kind("semicolons.csv", _make_csv_log(";"), read_log),
         Kind("stands.csv", _STANDS, read_stands),
     )
 
@@ -165,7 +165,7 @@ def kinds() -> tuple[Kind, ...]:
         Kind("baseline.txt", _BASELINE, read_baseline),
         Kind("robot.urdf", urdf_text(quadruped()).encode(), read_urdf),
         Kind("robot.xml", mjcf_text(quadruped()).encode(), read_mjcf),
-        Kind("mesh.stl", _stl(), _read_mesh),
+        Kind("mesh.stl", _make_stl(), _read_mesh),
         Kind("mesh.obj", _OBJ, _read_mesh),
         Kind("mesh.ply", _PLY, _read_mesh),
     )
@@ -201,7 +201,7 @@ _WORDS = (b"nan", b"1e999", b'"', b"[", b"{" * 3000, b"\n", b"\0", b"\xe4", b"::
 
 
 @contextmanager
-def _limits() -> Iterator[None]:
+def _limit_process() -> Iterator[None]:
     """Limit the processor time and the memory of a reader."""
 
     def hang(_number: int, _frame: FrameType | None) -> None:
@@ -227,7 +227,7 @@ def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
     path = folder / kind.name
     path.write_bytes(data)
     try:
-        with _limits():
+        with _limit_process():
             kind.read(path)
     except PupperAnalysisError as error:
         message = str(error)

@@ -119,7 +119,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
     before |= BEFORE
     for name, content in BEFORE.items():
         (folder / name).write_bytes(content)
-    status, said, taken = _run(case.arguments, folder)
+    status, said, taken = _run_command(case.arguments, folder)
     command = case.arguments[0] if case.arguments else ""
     if status is None:
         yield f"no end within {SECONDS} s"
@@ -138,7 +138,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
             yield f"accepted, and MuJoCo refuses it: {refusal}"
 
 
-def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, float]:
+def _run_command(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, float]:
     """Run a command; return exit status (None if it hangs), printed text and processor time [s]."""
     from pupper_analysis import cli
 
@@ -283,7 +283,7 @@ def list_checked_mjcfs(folder: Path, arguments: tuple[str, ...]) -> list[str]:
 # ------------------------------------------------------------------------------------- files
 
 
-def _words(text: str) -> list[str]:
+def _split_words(text: str) -> list[str]:
     return text.split()
 
 
@@ -304,7 +304,7 @@ NAMES = (
 """Unusual names: empty, long, reserved, with control characters, markup or commands of CI
 services."""
 
-_REFERENCES = _words("""
+_REFERENCES = _split_words("""
 joint joint1 joint2 site body body1 body2 geom geom1 geom2 link mesh material class childclass
 tendon actuator objname file reftype refname name key texture hfield target refsite cranksite
 """)
@@ -334,7 +334,7 @@ _ELEMENT = re.compile(rb"<(\w+)[^<>]*/>")
 """Pattern of an XML element without children, with its tag."""
 
 
-def _attribute(chosen: re.Match[bytes], value: str) -> bytes:
+def _format_attribute(chosen: re.Match[bytes], value: str) -> bytes:
     """Return an attribute with another value, escaped for XML."""
     return chosen[1] + b"=" + quoteattr(value, {"\n": "&#10;"}).encode("utf-8", "surrogatepass")
 
@@ -355,10 +355,10 @@ def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
         value = " ".join(words)
     except ValueError:
         value = draw(st.sampled_from(ABSURD))
-    return text[: chosen.start()] + _attribute(chosen, value) + text[chosen.end() :]
+    return text[: chosen.start()] + _format_attribute(chosen, value) + text[chosen.end() :]
 
 
-def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
+def _replace_reference(draw: st.DrawFn, text: bytes) -> bytes:
     """Replace one name, or one reference, by another."""
     found = [at for at in _ATTRIBUTE.finditer(text) if at[1].decode() in _REFERENCES]
     if not found:
@@ -366,10 +366,10 @@ def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
     chosen = draw(st.sampled_from(found))
     other = draw(st.sampled_from(found))[3].decode("utf-8", "replace")
     value = draw(st.sampled_from(["nowhere", other, *NAMES]))
-    return text[: chosen.start()] + _attribute(chosen, value) + text[chosen.end() :]
+    return text[: chosen.start()] + _format_attribute(chosen, value) + text[chosen.end() :]
 
 
-def _flip(draw: st.DrawFn, text: bytes) -> bytes:
+def _flip_bits(draw: st.DrawFn, text: bytes) -> bytes:
     """Invert up to six bits."""
     spoilt = bytearray(text)
     for _ in range(draw(st.integers(1, 6))):
@@ -378,12 +378,12 @@ def _flip(draw: st.DrawFn, text: bytes) -> bytes:
     return bytes(spoilt)
 
 
-def _cut(draw: st.DrawFn, text: bytes) -> bytes:
+def _cut_end(draw: st.DrawFn, text: bytes) -> bytes:
     """Cut off the end."""
     return text[: draw(st.integers(0, len(text)))]
 
 
-def _element(draw: st.DrawFn, text: bytes) -> bytes:
+def _edit_element(draw: st.DrawFn, text: bytes) -> bytes:
     """Delete, duplicate or move an element, or change its tag."""
     found = list(_ELEMENT.finditer(text))
     if not found:
@@ -396,14 +396,14 @@ def _element(draw: st.DrawFn, text: bytes) -> bytes:
     return draw(st.sampled_from([rest, rest + chosen[0], moved, tag, text.replace(chosen[0], b"")]))
 
 
-def _drop(draw: st.DrawFn, text: bytes) -> bytes:
+def _delete_attribute(draw: st.DrawFn, text: bytes) -> bytes:
     """Delete one attribute."""
     found = list(_ATTRIBUTE.finditer(text))
     chosen = draw(st.sampled_from(found)) if found else None
     return text[: chosen.start()] + text[chosen.end() :] if chosen else text
 
 
-def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
+def _wrap_element(draw: st.DrawFn, text: bytes) -> bytes:
     """Put an element into another element, such as a frame or a body."""
     found = list(_ELEMENT.finditer(text))
     if not found:
@@ -415,7 +415,7 @@ def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
     return text[: chosen.start()] + wrapped + text[chosen.end() :]
 
 
-def _encode(draw: st.DrawFn, text: bytes) -> bytes:
+def _encode_text(draw: st.DrawFn, text: bytes) -> bytes:
     """Encode the text otherwise than its declaration states, or as it states."""
     said = draw(st.sampled_from(["utf-8", "latin-1", "utf-16", "ascii", "nonsense", "utf-7"]))
     real = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1", "utf-32"]))
@@ -427,9 +427,9 @@ def _encode(draw: st.DrawFn, text: bytes) -> bytes:
 
 SPOIL: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
     *(_spoil_value,) * 9,
-    *(_dangle,) * 5,
-    *(_element, _drop, _wrap) * 2,
-    *(_flip, _cut, _encode),
+    *(_replace_reference,) * 5,
+    *(_edit_element, _delete_attribute, _wrap_element) * 2,
+    *(_flip_bits, _cut_end, _encode_text),
 )
 """Functions that damage a file; a function that occurs more often is drawn more often."""
 
@@ -451,7 +451,7 @@ def _base_files() -> list[tuple[bytes, bytes]]:
 
 
 @functools.cache
-def _legged() -> tuple[bytes, bytes]:
+def _read_skeleton() -> tuple[bytes, bytes]:
     """Return the URDF and the MJCF of Pupper's skeleton, which stands."""
     skeleton = ROOT / "urdf" / "pupper_skeleton.urdf", ROOT / "mjcf" / "pupper_skeleton.xml"
     return skeleton[0].read_bytes(), skeleton[1].read_bytes()
@@ -460,7 +460,9 @@ def _legged() -> tuple[bytes, bytes]:
 @st.composite
 def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> dict[str, bytes]:
     """Draw the URDF and the MJCF of a robot, of which one or both are damaged."""
-    urdf, mjcf = draw(st.sampled_from([*_base_files(), _legged()] if pair is None else [pair]))
+    urdf, mjcf = draw(
+        st.sampled_from([*_base_files(), _read_skeleton()] if pair is None else [pair])
+    )
     which = draw(st.sampled_from(["urdf", "mjcf", "mjcf", "both"]))
     for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
         spoil = draw(st.sampled_from(SPOIL))
@@ -476,7 +478,7 @@ def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> di
 _TEXTS = (
     *ABSURD,
     "5 deg",
-    *_words("""
+    *_split_words("""
 0.1 0.2 5deg 10cm 90deg 1e6 -0.3 3.2 cm 50 0.01,0.02 0,0 1e308,0 nan,0 , 1,2,3 inf,inf 1cm,2cm
 a,b centre inside FL=2cm FL=1e9 FL=nan FL =1 XX=1cm FL=1cm,2cm FL=0,0,0 = a=b *=5 x=5 *_3=1e9
 *=nan *=-1 hip0=hip1 hip0=knee0 foot0 home x=. mass=1 mass=nan mass=-1 mass=1e308 v3 skeleton
@@ -518,7 +520,7 @@ def options_of(command: str) -> dict[str, tuple[str, ...]]:
     return {name: given for name, given in found.items() if name not in left}
 
 
-def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[str]:
+def _draw_options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[str]:
     """Draw between ``least`` and ``most`` options of a command, with values."""
     known = options_of(command)
     names = st.sampled_from(sorted(known))
@@ -535,10 +537,10 @@ def on_files(draw: st.DrawFn) -> Case:
     """Draw a command on damaged files."""
     models = ["audit"] * 20 + ["crosscheck"] * 18 + ["sync"] * 10
     command = draw(st.sampled_from([*models, *["stand"] * 6, "payload"]))
-    files = draw(spoilt_files(None if command in models else _legged()))
+    files = draw(spoilt_files(None if command in models else _read_skeleton()))
     more: list[str] = []
     if command in models:
-        more = _options(draw, command, draw(st.sampled_from([0, 0, 0, 1, 2])))
+        more = _draw_options(draw, command, draw(st.sampled_from([0, 0, 0, 1, 2])))
         if command == "sync" and "--take" not in more:
             more += ["--take", draw(st.sampled_from(["urdf", "mjcf"]))]
     if command == "audit":
@@ -599,9 +601,9 @@ def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
         st.sampled_from(["value", "value", "value", "name", "drop", "double", "bits", "cut"])
     )
     if what == "bits":
-        return _flip(draw, text)
+        return _flip_bits(draw, text)
     if what == "cut":
-        return _cut(draw, text)
+        return _cut_end(draw, text)
     if what == "value" and equals:
         rows[at] = f"{name}= {value}"
     elif what == "name" and equals:
@@ -619,7 +621,7 @@ def on_projects(draw: st.DrawFn) -> Case:
     command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
     files = draw(spoilt_files())
     of = "audit" if command == "-" else command
-    more = _options(draw, of, draw(st.sampled_from([0, 0, 1, 2])))
+    more = _draw_options(draw, of, draw(st.sampled_from([0, 0, 1, 2])))
     which = draw(st.sampled_from(["robot.urdf", "robot.xml"]))
     if command == "diff":
         whole = draw(st.sampled_from(_base_files()))
@@ -652,7 +654,7 @@ def on_variants(draw: st.DrawFn) -> Case:
     # A push is simulated for half a minute if nothing is wrong with its arguments.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
     command = draw(st.sampled_from([*commands, "live"]))
-    words = _options(draw, command, 3, least=1)
+    words = _draw_options(draw, command, 3, least=1)
     odd = ["nobody", "", "\u202e", "\n::error::x", "../v3"]
     if command == "best":
         words.insert(0, draw(st.sampled_from(["utilisation", "margin", "payload", "x"])))

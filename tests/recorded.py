@@ -253,21 +253,21 @@ def compute_numbers(name: str, job: str) -> dict[str, Any]:
 def numbers(result: object) -> dict[str, Any]:
     """Return {path of a field: number, or list of numbers} of a result."""
     found: dict[str, Any] = {}
-    _walk("", orjson.loads(to_json(result)), found)
+    _collect_numbers("", orjson.loads(to_json(result)), found)
     return found
 
 
-def _walk(where: str, value: Any, found: dict[str, Any]) -> None:
+def _collect_numbers(where: str, value: Any, found: dict[str, Any]) -> None:
     """Add the numbers of a value and of its fields to ``found``."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in WORK:
-                _walk(f"{where}/{name}" if where else name, inner, found)
+                _collect_numbers(f"{where}/{name}" if where else name, inner, found)
     elif isinstance(value, list):
-        flat = _flat(value)
+        flat = _flatten_list(value)
         if flat is None:
             for index, inner in enumerate(value):
-                _walk(f"{where}/{index}", inner, found)
+                _collect_numbers(f"{where}/{index}", inner, found)
         elif len(flat) > LONG:
             found[f"{where} {np.shape(value)}"] = products(np.array(flat))
         elif flat:
@@ -276,7 +276,7 @@ def _walk(where: str, value: Any, found: dict[str, Any]) -> None:
         found[where] = float(value)
 
 
-def _flat(value: list[Any]) -> list[float] | None:
+def _flatten_list(value: list[Any]) -> list[float] | None:
     """Return the numbers of a nested list as a flat list, or None if it is not an array."""
     try:
         array = np.array(value)

@@ -107,9 +107,9 @@ def test_wrong_arguments_raise_errors_of_the_package(
     for key, parameter in parameters.items():
         hint = str(parameter.annotation)
         for junk in JUNK:
-            if (junk is None and "None" in hint) or (name in SLOW and _fits(junk, hint)):
+            if (junk is None and "None" in hint) or (name in SLOW and _may_be_valid(junk, hint)):
                 continue
-            refusal = _refusal(function, {**right, key: junk})
+            refusal = _get_refusal(function, {**right, key: junk})
             if refusal is not None:
                 wrong += 1
                 assert refusal
@@ -117,7 +117,7 @@ def test_wrong_arguments_raise_errors_of_the_package(
     assert wrong >= len(parameters)
 
 
-def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str | None:
+def _get_refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str | None:
     """Return the message of the error that a call raises; None if it raises none."""
     try:
         function(**arguments)
@@ -126,7 +126,7 @@ def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str 
     return None
 
 
-def _fits(junk: object, hint: str) -> bool:
+def _may_be_valid(junk: object, hint: str) -> bool:
     """Return True if a value may be valid, so that the function would run to its end."""
     if "Array" in hint:  # arrays of gains are checked when servos are made
         return True

@@ -12,7 +12,7 @@ from scipy import linalg
 from pupper_analysis.base import lapack
 
 
-def _matrices(shapes: list[tuple[int, int]]) -> list[np.ndarray]:
+def _draw_matrices(shapes: list[tuple[int, int]]) -> list[np.ndarray]:
     """Return random matrices, matrices of reduced rank, and zeros, of given shapes."""
     random = np.random.default_rng(3)
     full = [random.standard_normal(shape) for shape in shapes]
@@ -20,7 +20,7 @@ def _matrices(shapes: list[tuple[int, int]]) -> list[np.ndarray]:
     return [*full, *reduced, *(0 * matrix for matrix in full)]
 
 
-@pytest.mark.parametrize("matrix", _matrices([(1, 1), (7, 7), (36, 36), (0, 0)]))
+@pytest.mark.parametrize("matrix", _draw_matrices([(1, 1), (7, 7), (36, 36), (0, 0)]))
 def test_eigenvectors_equal_those_of_scipy(matrix: np.ndarray) -> None:
     """Reference: ``scipy.linalg.eig``, to the last bit; also for symmetric matrices."""
     for given in (matrix, matrix + matrix.T, np.ascontiguousarray(matrix.T)):
@@ -28,7 +28,9 @@ def test_eigenvectors_equal_those_of_scipy(matrix: np.ndarray) -> None:
             np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize("matrix", _matrices([(3, 8), (8, 3), (6, 6), (0, 4), (4, 0), (12, 30)]))
+@pytest.mark.parametrize(
+    "matrix", _draw_matrices([(3, 8), (8, 3), (6, 6), (0, 4), (4, 0), (12, 30)])
+)
 def test_bases_and_pivoted_triangle_equal_those_of_scipy(matrix: np.ndarray) -> None:
     """Reference: ``scipy.linalg.null_space``, ``orth`` and ``qr``, to the last bit."""
     for rcond in (None, 1e-9):

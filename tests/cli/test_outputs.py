@@ -88,12 +88,12 @@ INSIDE = {
 LINKS: dict[str, Callable[[Path, Path], Path]] = {
     "its name": lambda folder, file: file,
     "another way": lambda folder, file: Path("feet/..") / file,
-    "a link": lambda folder, file: _link(folder, file, os.symlink),
-    "a hard link": lambda folder, file: _link(folder, file, os.link),
+    "a link": lambda folder, file: _link_file(folder, file, os.symlink),
+    "a hard link": lambda folder, file: _link_file(folder, file, os.link),
 }
 
 
-def _link(folder: Path, file: Path, link: Callable[[Path, Path], None]) -> Path:
+def _link_file(folder: Path, file: Path, link: Callable[[Path, Path], None]) -> Path:
     other = folder / "linked"
     other.unlink(missing_ok=True)
     link(folder / file, other)

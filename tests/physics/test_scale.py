@@ -42,7 +42,10 @@ def resize_robot(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot
         if np.isfinite(geom.mass):
             geom.mass *= mass
         geom.friction = np.array(geom.friction) * (1.0, size, size)
-        geom.solref, geom.solimp = _solref(geom.solref, time), _solimp(geom.solimp, size)
+        geom.solref, geom.solimp = (
+            _scale_solref(geom.solref, time),
+            _scale_solimp(geom.solimp, size),
+        )
     for mesh in spec.meshes:
         mesh.scale = size * np.array(mesh.scale)
     for joint in spec.joints:
@@ -50,8 +53,8 @@ def resize_robot(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot
         joint.armature *= mass * size**2
         joint.frictionloss *= torque
         joint.damping = np.array(joint.damping) * torque * time
-        joint.solref_limit = _solref(joint.solref_limit, time)
-        joint.solref_friction = _solref(joint.solref_friction, time)
+        joint.solref_limit = _scale_solref(joint.solref_limit, time)
+        joint.solref_friction = _scale_solref(joint.solref_friction, time)
     for actuator in spec.actuators:
         rates = np.ones(10) * torque
         rates[2] *= time  # kv
@@ -85,12 +88,12 @@ def resize_robot(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot
     return replace(built, stand_height=size * robot.stand_height)
 
 
-def _solref(given: np.ndarray, time: float) -> np.ndarray:
+def _scale_solref(given: np.ndarray, time: float) -> np.ndarray:
     first, second = given
     return np.array([first * time, second] if first > 0 else [first / time**2, second / time])
 
 
-def _solimp(given: np.ndarray, size: float) -> np.ndarray:
+def _scale_solimp(given: np.ndarray, size: float) -> np.ndarray:
     return np.array(given) * (1.0, 1.0, size, 1.0, 1.0)
 
 

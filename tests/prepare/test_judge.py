@@ -42,7 +42,7 @@ from tests.support.repository import ROOT
 Slip = Callable[[str], str]
 
 
-def _shape(geometry: str) -> Slip:
+def _add_shape(geometry: str) -> Slip:
     shape = f'<link name="trunk"><collision><geometry>{geometry}</geometry></collision>'
     return lambda text: text.replace('<link name="trunk">', shape)
 
@@ -68,8 +68,8 @@ SLIPS: dict[str, tuple[Slip, str | None]] = {
         lambda text: text.replace('lower="-0.8" upper="0.8"', 'lower="0.8" upper="-0.8"', 1),
         None,
     ),
-    "geometry-empty": (_shape(""), "the <collision> of link 'trunk' has no geometry"),
-    "mesh-unreadable": (_shape('<mesh filename="bad.stl"/>'), "mesh file left out"),
+    "geometry-empty": (_add_shape(""), "the <collision> of link 'trunk' has no geometry"),
+    "mesh-unreadable": (_add_shape('<mesh filename="bad.stl"/>'), "mesh file left out"),
     "value-impossible": (
         lambda text: text.replace("<limit", '<dynamics damping="-1"/><limit', 1),
         "negative damping accelerates FL_roll",
@@ -205,7 +205,7 @@ def test_negative_dry_friction_appears_in_the_verdict(tmp_path: Path) -> None:
             lambda text: text.replace('effort="80"', 'effort="-80"', 1),
             "effort limit -80 N m of joint 'FL_roll' is negative",
         ),
-        (_shape('<sphere radius="0"/>'), "collision spheres of radius 0"),
+        (_add_shape('<sphere radius="0"/>'), "collision spheres of radius 0"),
     ],
 )
 def test_impossible_values_appear_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
@@ -447,7 +447,7 @@ TIES = {
 }
 
 
-def _tie(folder: Path, tie: str, kp: float) -> Path:
+def _write_tied(folder: Path, tie: str, kp: float) -> Path:
     """Write a quadruped with a trunk that is tied to the world at its height in the keyframe."""
     path = slips.standing(folder).mjcf
     world = '<site name="hook" pos="0 0 0.65"/><body name="hand" mocap="true" pos="0 0 0.35">'
@@ -486,7 +486,7 @@ def test_a_tie_of_the_base_to_the_world_is_reported_with_its_effect(
 ) -> None:
     """Reference: bare MuJoCo with and without the tie. Servos of 3 N m/rad do not carry the robot;
     a tie does."""
-    path = _tie(tmp_path, tie, kp)
+    path = _write_tied(tmp_path, tie, kp)
     assert _keeps_height(path, tied=True)
     robot = pa.load_robot(mjcf=path)
     (message,) = report_ties(robot)
@@ -504,7 +504,7 @@ def test_stand_and_analyze_agree_on_a_robot_with_a_weak_tie(tmp_path: Path) -> N
 
     ``analyze`` failed the MJCF alone, because no URDF expresses the tie: "the files disagree".
     """
-    path = _tie(tmp_path, "connect", 150.0)
+    path = _write_tied(tmp_path, "connect", 150.0)
     weak = 'name="tie" solref="2 1" solimp="0.01 0.01 0.001"'
     rewrite_file(path, ('name="tie"', weak))
     assert _keeps_height(path, tied=True)

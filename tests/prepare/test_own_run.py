@@ -48,13 +48,13 @@ Slip = Callable[[str], str]
 _CTRL = r' ctrl="[^"]*"(?=/></keyframe>)'
 
 
-def _lying(text: str) -> str:
+def _make_lying(text: str) -> str:
     """Return an MJCF that stands on bent legs: a reset to zero angles throws it on its back."""
     bent = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 1.3 -2.5"] * 4))
     return bent.replace('qpos="0 0 0.35 ', 'qpos="0 0 0.15 ')
 
 
-def _option(words: str) -> Slip:
+def _add_option(words: str) -> Slip:
     return lambda text: text.replace('<option integrator="implicitfast"/>', f"<option {words}")
 
 
@@ -108,7 +108,7 @@ def test_a_keyframe_with_zero_commands_fails_if_the_file_falls(
     zeros = f' ctrl="{" ".join(["0"] * 12)}"' if stated else ""
 
     def slip(text: str) -> str:
-        return re.sub(_CTRL, zeros, _lying(text))
+        return re.sub(_CTRL, zeros, _make_lying(text))
 
     robot = load_slip(tmp_path, slip)
     assert not stands(tmp_path / "robot.xml")
@@ -351,7 +351,7 @@ def test_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) ->
 @pytest.mark.slow
 def test_robot_with_sleeping_enabled_is_judged(tmp_path: Path) -> None:
     """MuJoCo does not differentiate steps of models with sleeping bodies; a note reports this."""
-    asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
+    asleep = _add_option('integrator="implicitfast"><flag sleep="enable"/></option>')
     robot = load_slip(tmp_path, asleep)
     assert judge_nominal_stand(robot).code is VerdictCode.HOLDS
     assert "sleep-not-differentiated" in {note.code for note in robot.notes}

@@ -132,7 +132,7 @@ def test_third_payload_at_a_place_is_not_compiled_and_equals_the_compiled_model(
         with_payload(robot, mass, (0.01, 0.0, 0.08))
     monkeypatch.setattr("pupper_analysis.robot.tool.rebuild_robot", None)
     changed = with_payload(robot, 2.5, (0.01, 0.0, 0.08))
-    assert _serialize(changed.mj_model) == _serialize(compiled.mj_model)
+    assert _serialize_model(changed.mj_model) == _serialize_model(compiled.mj_model)
     assert changed.description.urdf == compiled.description.urdf
     assert changed.description.mjcf.to_xml() == compiled.description.mjcf.to_xml()
     assert changed.pin_model == compiled.pin_model
@@ -149,10 +149,10 @@ def test_payload_is_compiled_if_the_damping_of_a_servo_depends_on_the_mass(tmp_p
     compiled = with_payload(reference, 2.5)
     for mass in (1.0, 4.0, 2.5):
         loaded = with_payload(robot, mass)
-    assert _serialize(loaded.mj_model) == _serialize(compiled.mj_model)
+    assert _serialize_model(loaded.mj_model) == _serialize_model(compiled.mj_model)
 
 
-def _serialize(model: mujoco.MjModel) -> bytes:
+def _serialize_model(model: mujoco.MjModel) -> bytes:
     """Return the bytes that MuJoCo writes to a file."""
     content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)

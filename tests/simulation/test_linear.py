@@ -25,7 +25,7 @@ _OSCILLATOR = """
 """
 
 
-def _simulate(limited: bool, seconds: float) -> tuple[mujoco.MjModel, np.ndarray]:
+def _simulate_oscillator(limited: bool, seconds: float) -> tuple[mujoco.MjModel, np.ndarray]:
     """Return the oscillator, and the states after each step from a displacement of 0.01 m."""
     model = mujoco.MjModel.from_xml_string(_OSCILLATOR.format(limited=str(limited).lower()))
     data = mujoco.MjData(model)
@@ -34,7 +34,7 @@ def _simulate(limited: bool, seconds: float) -> tuple[mujoco.MjModel, np.ndarray
     return model, simulate_commands(model, full_state(model, data), np.zeros((steps, 0)))
 
 
-def _linearise(model: mujoco.MjModel, state: np.ndarray) -> LinearStep:
+def _linearise_step(model: mujoco.MjModel, state: np.ndarray) -> LinearStep:
     """Return the linearised step at a state."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -44,8 +44,8 @@ def _linearise(model: mujoco.MjModel, state: np.ndarray) -> LinearStep:
 
 def test_predicted_displacement_equals_simulated_displacement() -> None:
     """Reference: MuJoCo's simulation. Slide and hinge oscillate with 6.3 and 7 rad/s."""
-    model, states = _simulate(limited=False, seconds=4.0)
-    linear, first = _linearise(model, states[99]), states[99]
+    model, states = _simulate_oscillator(limited=False, seconds=4.0)
+    linear, first = _linearise_step(model, states[99]), states[99]
     assert linear.reproduces(states[:600])
     predicted = linear.predict(states[98], first, 3.0)
     stride = 16  # 0.032 s: the largest power of two of the time step up to 0.05 s
@@ -57,8 +57,8 @@ def test_predicted_displacement_equals_simulated_displacement() -> None:
 
 def test_prediction_is_rejected_if_a_stop_ends_the_motion() -> None:
     """The linearised step contains no stop: the slide reaches its limit 0.28 s after the start."""
-    model, states = _simulate(limited=True, seconds=0.6)
-    linear = _linearise(model, states[10])
+    model, states = _simulate_oscillator(limited=True, seconds=0.6)
+    linear = _linearise_step(model, states[10])
     assert linear.reproduces(states[10:120])
     assert not linear.reproduces(states[10:290])
 

@@ -47,7 +47,7 @@ ORDER = ("elbow", "b_slide", "shoulder", "a_turn")
 """Joints in the order of the actuators."""
 
 
-def _inertial(mass: float, x: float) -> str:
+def _make_inertial(mass: float, x: float) -> str:
     """Return the ``<inertial>`` of a link, with the CoM at ``x`` [m]."""
     return (
         f'<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>'
@@ -55,7 +55,7 @@ def _inertial(mass: float, x: float) -> str:
     )
 
 
-def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> str:
+def _make_joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> str:
     """Return the ``<joint>`` of a URDF."""
     low, high = RANGES[name]
     return (
@@ -66,19 +66,19 @@ def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -
 
 
 URDF = f"""<robot name="arm"><link name="base"/>
-<link name="turn">{_inertial(MASSES["turn"], 0)}</link>
-<link name="upper">{_inertial(MASSES["upper"], CENTRES["upper"])}</link>
-<link name="fore">{_inertial(MASSES["fore"], CENTRES["fore"])}</link>
-<link name="hand">{_inertial(MASSES["hand"], 0)}</link><link name="tip"/>
-{_joint("a_turn", "revolute", "base", "turn", "0 0 0.5", "0 0 1")}
-{_joint("shoulder", "revolute", "turn", "upper", "0 0 0", "0 1 0")}
-{_joint("elbow", "revolute", "upper", "fore", f"{UPPER} 0 0", "0 1 0")}
-{_joint("b_slide", "prismatic", "fore", "hand", f"{FORE} 0 0", "1 0 0")}
+<link name="turn">{_make_inertial(MASSES["turn"], 0)}</link>
+<link name="upper">{_make_inertial(MASSES["upper"], CENTRES["upper"])}</link>
+<link name="fore">{_make_inertial(MASSES["fore"], CENTRES["fore"])}</link>
+<link name="hand">{_make_inertial(MASSES["hand"], 0)}</link><link name="tip"/>
+{_make_joint("a_turn", "revolute", "base", "turn", "0 0 0.5", "0 0 1")}
+{_make_joint("shoulder", "revolute", "turn", "upper", "0 0 0", "0 1 0")}
+{_make_joint("elbow", "revolute", "upper", "fore", f"{UPPER} 0 0", "0 1 0")}
+{_make_joint("b_slide", "prismatic", "fore", "hand", f"{FORE} 0 0", "1 0 0")}
 <joint name="weld" type="fixed"><parent link="hand"/><child link="tip"/>
 <origin xyz="{SLIDE} 0 0"/></joint></robot>"""
 
 
-def _body(name: str, joint: str, mass: float, x: float, inner: str = "") -> str:
+def _make_body(name: str, joint: str, mass: float, x: float, inner: str = "") -> str:
     """Return the ``<body>`` of an MJCF, with a joint and further content."""
     low, high = RANGES[joint]
     kind = "slide" if joint == "b_slide" else "hinge"
@@ -91,13 +91,13 @@ def _body(name: str, joint: str, mass: float, x: float, inner: str = "") -> str:
     )
 
 
-_HAND = _body("hand", "b_slide", MASSES["hand"], 0, f'<site name="tip" pos="{SLIDE} 0 0"/>')
-_FORE = _body("fore", "elbow", MASSES["fore"], CENTRES["fore"], _HAND)
-_UPPER = _body("upper", "shoulder", MASSES["upper"], CENTRES["upper"], _FORE)
+_HAND = _make_body("hand", "b_slide", MASSES["hand"], 0, f'<site name="tip" pos="{SLIDE} 0 0"/>')
+_FORE = _make_body("fore", "elbow", MASSES["fore"], CENTRES["fore"], _HAND)
+_UPPER = _make_body("upper", "shoulder", MASSES["upper"], CENTRES["upper"], _FORE)
 _SERVOS = "".join(f'<position joint="{name}" kp="{STIFFNESS[name]}" kv="20"/>' for name in ORDER)
 MJCF = f"""<mujoco model="arm"><compiler angle="radian"/>
 <option timestep="0.002" integrator="implicitfast"/><worldbody><body name="base">
-{_body("turn", "a_turn", MASSES["turn"], 0, _UPPER)}</body></worldbody>
+{_make_body("turn", "a_turn", MASSES["turn"], 0, _UPPER)}</body></worldbody>
 <actuator>{_SERVOS}</actuator></mujoco>"""
 
 

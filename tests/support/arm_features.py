@@ -43,12 +43,12 @@ def _inertials_of_geoms(text: str) -> str:
     return re.sub(r"<inertial[^>]*/>", '<geom size="0.05"/>', text)
 
 
-def _thousandfold(text: str) -> str:
+def _stiffen_servos(text: str) -> str:
     """Multiply the stiffness of the servos by 1000."""
     return re.sub(r'kp="(\d+)\.0"', r'kp="\g<1>000"', text)
 
 
-def _motors(text: str) -> str:
+def _use_motors(text: str) -> str:
     """Replace the servos by torque motors."""
     return re.sub(r'<position (joint="\w+") kp="[\d.]+" kv="20"/>', r"<motor \1/>", text)
 
@@ -109,7 +109,7 @@ FEATURES: dict[str, Edit] = {
     "gear -1 at a joint": shoulder('<position joint="shoulder" kp="800" kv="20" gear="-1"/>'),
     "kp -800 at a joint": shoulder('<position joint="shoulder" kp="-800" kv="20"/>'),
     "kp 0 at a joint": shoulder('<position joint="shoulder" kp="0" kv="20"/>'),
-    "kp a thousandfold": _thousandfold,
+    "kp a thousandfold": _stiffen_servos,
     "damping of the other sign": law(damping=20),
     "a bias of 20": law(bias=20),
     "a bias of 500": law(bias=500),
@@ -122,7 +122,7 @@ FEATURES: dict[str, Edit] = {
     "one dcmotor": shoulder('<dcmotor joint="shoulder" motorconst="0.05" resistance="1"/>'),
     "a motor besides": make_replacement("</actuator>", '<motor joint="shoulder"/></actuator>'),
     "two servos at a joint": make_replacement("</actuator>", f"{SERVO}</actuator>"),
-    "motors": _motors,
+    "motors": _use_motors,
     "forcerange 5": servos('forcerange="-5 5"'),
     "forcerange of one side": servos('forcerange="0 30"'),
     "ctrlrange": servos('ctrlrange="0.5 0.9"'),

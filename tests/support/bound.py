@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from xml.etree import ElementTree
 
-from tests.support.legged import Pair, _joint, _link, quadruped
+from tests.support.legged import Pair, _make_joint, _make_link, quadruped
 
 LEGS = ("FL", "FR", "RL", "RR")
 ARM = 0.05
@@ -36,10 +36,9 @@ def belts(
     equality = ElementTree.SubElement(mjcf, "equality")
     for leg in LEGS:
         place = (0.0, 0.02, -0.03)
-        _add_element(urdf, _link(f"{leg}_pulley", 0.1, (2e-4, 2e-4, 3e-4)))
-        _add_element(
-            urdf, _joint(f"{leg}_motor", f"{leg}_thigh", f"{leg}_pulley", place, "0 1 0", (-4, 4))
-        )
+        _add_element(urdf, _make_link(f"{leg}_pulley", 0.1, (2e-4, 2e-4, 3e-4)))
+        names = f"{leg}_motor", f"{leg}_thigh", f"{leg}_pulley"
+        _add_element(urdf, _make_joint(*names, place, "0 1 0", (-4, 4)))
         _add_element(
             _find_named(urdf, "joint", f"{leg}_knee"),
             f'<mimic joint="{leg}_motor" multiplier="{polynomial[1]}" offset="{polynomial[0]}"/>',
@@ -80,14 +79,13 @@ def four_bars(
     for leg in LEGS:
         out = (0.0, 0.05 if leg[1] == "L" else -0.05, 0.0)
         if in_urdf:
-            _add_element(urdf, _link(f"{leg}_crank", 0.1, (2e-4, 2e-4, 3e-4)))
-            _add_element(
-                urdf, _joint(f"{leg}_motor", f"{leg}_hip", f"{leg}_crank", out, "0 1 0", (-3, 3))
-            )
+            _add_element(urdf, _make_link(f"{leg}_crank", 0.1, (2e-4, 2e-4, 3e-4)))
+            names = f"{leg}_motor", f"{leg}_hip", f"{leg}_crank"
+            _add_element(urdf, _make_joint(*names, out, "0 1 0", (-3, 3)))
             centre = (rod[0] / 2, 0.0, rod[2] / 2)
-            _add_element(urdf, _link(f"{leg}_rod", 0.05, (2e-4, 2e-4, 2e-5), centre))
+            _add_element(urdf, _make_link(f"{leg}_rod", 0.05, (2e-4, 2e-4, 2e-5), centre))
             _add_element(
-                urdf, _joint(f"{leg}_pin", f"{leg}_crank", f"{leg}_rod", end, "0 1 0", (-3, 3))
+                urdf, _make_joint(f"{leg}_pin", f"{leg}_crank", f"{leg}_rod", end, "0 1 0", (-3, 3))
             )
         held = f"""<body name="{leg}_rod" pos="{end[0]} 0 {end[2]}">
             <inertial pos="{half}" mass="0.05" diaginertia="2e-4 2e-4 2e-5"/>

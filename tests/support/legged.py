@@ -82,18 +82,20 @@ def quadruped(
         keyframe: Joint angles of each leg in the keyframe [rad]; empty for no keyframe.
         head: Whether the MJCF has a head on an actuated joint that the URDF lacks.
     """
-    urdf = ['<robot name="quad">', _link("trunk", 4.0, (0.02, 0.05, 0.06))]
+    urdf = ['<robot name="quad">', _make_link("trunk", 4.0, (0.02, 0.05, 0.06))]
     bodies, motors = [], []
     for leg in ("FL", "FR", "RL", "RR"):
         x, y = (0.2 if leg[0] == "F" else -0.2), (0.1 if leg[1] == "L" else -0.1)
         out = 0.05 if y > 0 else -0.05
         urdf += [
-            _link(f"{leg}_hip", 0.4, (4e-4, 4e-4, 4e-4)),
-            _link(f"{leg}_thigh", 0.5, (2e-3, 2e-3, 3e-4), (0, 0, -0.1)),
-            _link(f"{leg}_calf", 0.2, (8e-4, 8e-4, 5e-5), (0, 0, -0.1)),
-            _joint(f"{leg}_roll", "trunk", f"{leg}_hip", (x, y, 0), "1 0 0", (-0.8, 0.8)),
-            _joint(f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", (0, out, 0), "0 1 0", (-1.5, 2.5)),
-            _joint(
+            _make_link(f"{leg}_hip", 0.4, (4e-4, 4e-4, 4e-4)),
+            _make_link(f"{leg}_thigh", 0.5, (2e-3, 2e-3, 3e-4), (0, 0, -0.1)),
+            _make_link(f"{leg}_calf", 0.2, (8e-4, 8e-4, 5e-5), (0, 0, -0.1)),
+            _make_joint(f"{leg}_roll", "trunk", f"{leg}_hip", (x, y, 0), "1 0 0", (-0.8, 0.8)),
+            _make_joint(
+                f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", (0, out, 0), "0 1 0", (-1.5, 2.5)
+            ),
+            _make_joint(
                 f"{leg}_knee", f"{leg}_thigh", f"{leg}_calf", (0, 0, -0.2), "0 1 0", (-2.6, -0.4)
             ),
         ]
@@ -136,7 +138,7 @@ def quadruped(
         </body></worldbody>
       <actuator>{"".join(motors)}</actuator>
       {key if keyframe and free else ""}</mujoco>"""
-    return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+    return _write_pair(folder, "\n".join([*urdf, "</robot>"]), mjcf)
 
 
 def edit_pair(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
@@ -185,12 +187,12 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
     for joint, axis, place in ARM:
         name, com = f"arm_{joint}", (0.0 if joint == "yaw" else 0.11, 0.0, 0.0)
         for text in (
-            _link(f"{name}_link", 0.4, (2e-4, 1e-3, 1e-3), com),
-            _joint(name, link, f"{name}_link", place, axis, (-2.5, 2.5)),
+            _make_link(f"{name}_link", 0.4, (2e-4, 1e-3, 1e-3), com),
+            _make_joint(name, link, f"{name}_link", place, axis, (-2.5, 2.5)),
         ):
             urdf.append(ElementTree.fromstring(text))
-        body = ElementTree.SubElement(body, "body", name=f"{name}_link", pos=_numbers(place))
-        moments = {"mass": "0.4", "diaginertia": "2e-4 1e-3 1e-3", "pos": _numbers(com)}
+        body = ElementTree.SubElement(body, "body", name=f"{name}_link", pos=_join_numbers(place))
+        moments = {"mass": "0.4", "diaginertia": "2e-4 1e-3 1e-3", "pos": _join_numbers(com)}
         ElementTree.SubElement(body, "inertial", moments)
         ElementTree.SubElement(body, "joint", name=name, axis=axis, range="-2.5 2.5")
         if home:
@@ -301,7 +303,7 @@ def biped(folder: Path, foot: str = BIPED_FEET["box"], *, damping: float = 0.5) 
         ("ankle", "0 1 0", (0.0, 0.0, -0.3), 0.3, (-1.2, 0.9)),
         ("tilt", "1 0 0", (0.0, 0.0, -0.02), 0.6, (-0.5, 0.5)),
     ]
-    urdf = ['<robot name="walker">', _link("pelvis", 8.0, (0.1, 0.08, 0.08), (0, 0, 0.1))]
+    urdf = ['<robot name="walker">', _make_link("pelvis", 8.0, (0.1, 0.08, 0.08), (0, 0, 0.1))]
     bodies, motors = [], []
     for side, y in (("left", 0.1), ("right", -0.1)):
         parent, opened = "pelvis", []
@@ -312,12 +314,13 @@ def biped(folder: Path, foot: str = BIPED_FEET["box"], *, damping: float = 0.5) 
             com = (0.02, 0.0, -0.03) if name == "tilt" else (0.0, 0.0, -0.1 if mass >= 1 else 0.0)
             link = f"{side}_{name}_link"
             urdf += [
-                _link(link, mass, inertia, com),
-                _joint(f"{side}_{name}", parent, link, at, axis, limits),
+                _make_link(link, mass, inertia, com),
+                _make_joint(f"{side}_{name}", parent, link, at, axis, limits),
             ]
-            opened.append(f"""<body name="{link}" pos="{_numbers(at)}">
-              <inertial pos="{_numbers(com)}" mass="{mass}" diaginertia="{_numbers(inertia)}"/>
-              <joint name="{side}_{name}" axis="{axis}" range="{_numbers(limits)}"
+            moments = _join_numbers(inertia)
+            opened.append(f"""<body name="{link}" pos="{_join_numbers(at)}">
+              <inertial pos="{_join_numbers(com)}" mass="{mass}" diaginertia="{moments}"/>
+              <joint name="{side}_{name}" axis="{axis}" range="{_join_numbers(limits)}"
                      armature="0.01" damping="{damping}"/>""")
             motors.append(f'<motor joint="{side}_{name}" ctrlrange="-80 80"/>')
             parent = link
@@ -328,14 +331,14 @@ def biped(folder: Path, foot: str = BIPED_FEET["box"], *, damping: float = 0.5) 
         <geom type="box" size="0.08 0.12 0.1" pos="0 0 0.1"/>
         {"".join(bodies)}</body></worldbody>
       <actuator>{"".join(motors)}</actuator></mujoco>"""
-    return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+    return _write_pair(folder, "\n".join([*urdf, "</robot>"]), mjcf)
 
 
-def _numbers(values: tuple[float, ...]) -> str:
+def _join_numbers(values: tuple[float, ...]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _link(
+def _make_link(
     name: str,
     mass: float,
     inertia: tuple[float, float, float],
@@ -343,12 +346,12 @@ def _link(
 ) -> str:
     xx, yy, zz = inertia
     return (
-        f'<link name="{name}"><inertial><origin xyz="{_numbers(com)}"/><mass value="{mass}"/>'
+        f'<link name="{name}"><inertial><origin xyz="{_join_numbers(com)}"/><mass value="{mass}"/>'
         f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     )
 
 
-def _joint(
+def _make_joint(
     name: str,
     parent: str,
     child: str,
@@ -358,12 +361,12 @@ def _joint(
 ) -> str:
     return (
         f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{_numbers(place)}"/><axis xyz="{axis}"/>'
+        f'<origin xyz="{_join_numbers(place)}"/><axis xyz="{axis}"/>'
         f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="80" velocity="20"/></joint>'
     )
 
 
-def _written(folder: Path, urdf: str, mjcf: str) -> Pair:
+def _write_pair(folder: Path, urdf: str, mjcf: str) -> Pair:
     """Write URDF and MJCF."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
     pair.urdf.write_text(urdf)

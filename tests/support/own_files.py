@@ -50,7 +50,7 @@ def write(folder: Path, text: str) -> None:
             made.add(file.name)
         if not (file.exists() or file.name in made or path.startswith("build/")):
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(_robot(file, text), encoding="utf-8")
+            file.write_text(_make_robot_text(file, text), encoding="utf-8")
     if "env_cfgs.py" in text:
         _write_sources(folder)
     for name in re.findall(r"\bpolicy\w*\.json|\w+\.onnx", text):
@@ -58,18 +58,18 @@ def write(folder: Path, text: str) -> None:
     if "hanging.csv" in text and not (folder / "hanging.csv").exists():
         _write_log(folder / "hanging.csv")
     if "stands.csv" in text and not (folder / "stands.csv").exists():
-        _measure(folder)
+        _write_measured_stands(folder)
     if "--stands plan.csv" in text:
         measure_stands(folder / "plan.csv")
     if fit := re.search(r"--fit ((\w+/)?fit\.json)", text):
-        _measure(folder)
+        _write_measured_stands(folder)
         for name, content in _fitted_files().items():
             (folder / "fitted" / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / "fitted" / name).write_bytes(content)
         if not (folder / fit[1]).exists():
             shutil.copy(folder / "fitted/fit.json", folder / fit[1])
     if re.search(r"HEAD:|v1\.\d:|origin/|analysis check", text):
-        _commit(folder, text)
+        _commit_revisions(folder, text)
 
 
 def _write_stances(folder: Path, text: str) -> None:
@@ -86,13 +86,13 @@ def _write_stances(folder: Path, text: str) -> None:
 # ------------------------------------------------------------------------------------- robots
 
 
-def _robot(file: Path, text: str) -> str:
+def _make_robot_text(file: Path, text: str) -> str:
     """Return the text of a robot's file; its stem selects the robot."""
     stem, urdf = file.stem, file.suffix in (".urdf", ".xacro")
     if file.suffix.startswith(".usd"):
-        return _leg(file.suffix)
+        return _make_leg_text(file.suffix)
     if stem == "leg":
-        return _leg(file.suffix)
+        return _make_leg_text(file.suffix)
     if stem == "hopper":
         return (ROOT / f"examples/guarded/hopper{file.suffix}").read_text()
     if stem in ("panda", "arm"):
@@ -106,10 +106,10 @@ def _robot(file: Path, text: str) -> str:
     if stem == "hand":
         pose = '<keyframe><key name="open" qpos="0 -0.5 0.5 0.1"/></keyframe></mujoco>'
         return arm.MJCF.replace("</mujoco>", pose).replace('"tip"', '"thumb_tip"')
-    return _quadruped(file, text)
+    return _make_quadruped_text(file, text)
 
 
-def _leg(suffix: str) -> str:
+def _make_leg_text(suffix: str) -> str:
     """Return a leg as URDF or USD, or the MJCF that MuJoCo makes of the URDF."""
     from tests.tools.usd import written
 
@@ -121,7 +121,7 @@ def _leg(suffix: str) -> str:
     return written.URDF if suffix == ".urdf" else written.USD
 
 
-def _quadruped(file: Path, text: str) -> str:
+def _make_quadruped_text(file: Path, text: str) -> str:
     """Return Pupper v3 as URDF or MJCF, with the names and changes that a block of a page needs."""
     urdf = file.suffix in (".urdf", ".xacro")
     lines = text.replace("\\\n", " ").splitlines()
@@ -183,7 +183,7 @@ FIT = ("fit", "v3", "--stands", "stands.csv", "--weight", f"{WEIGHT}kg")
 """Arguments of ``pupper-analysis fit`` on the measured stands."""
 
 
-def _measure(folder: Path) -> None:
+def _write_measured_stands(folder: Path) -> None:
     """Write `stands.csv`: a plan of 12 stands with measured positions."""
     (folder / "stands.csv").write_text(_measured_plan())
 
@@ -203,7 +203,7 @@ def _fitted_files() -> dict[str, bytes]:
     """Return {path: content} of the files that ``fit`` writes for the measured stands."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _measure(folder)
+        _write_measured_stands(folder)
         found = answer(*FIT, "-o", "fitted/", folder=folder)
         assert found.returncode == 0, found.stderr
         fitted = folder / "fitted"
@@ -211,7 +211,7 @@ def _fitted_files() -> dict[str, bytes]:
         return {str(path.relative_to(fitted)): path.read_bytes() for path in files}
 
 
-def _measured(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:
+def _make_measured_robot(name: str) -> tuple[mujoco.MjModel, mujoco.MjData, list[str]]:
     """Return the model of the measured robot, its data, and the joints in the order of the
     actuators.
     """
@@ -232,7 +232,7 @@ def measure_stands(plan: Path) -> None:
     """
     with plan.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    model, data, names = _measured("pupper_v3")
+    model, data, names = _make_measured_robot("pupper_v3")
     sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
     feet = np.flatnonzero(sphere & (model.geom_contype + model.geom_conaffinity > 0))
     base = model.body("leg_front_r_1").parentid[0]
@@ -249,7 +249,7 @@ def measure_stands(plan: Path) -> None:
         for name, angle in zip(names, data.ctrl, strict=True):
             data.joint(name).qpos = angle
         mujoco.mj_kinematics(model, data)
-        level(data, [k for k in feet if _foot(data.geom_xpos[k]) not in row["swing"].split()])
+        level(data, [k for k in feet if _name_foot(data.geom_xpos[k]) not in row["swing"].split()])
         mujoco.mj_kinematics(model, data)
         data.qpos[2] -= min(data.geom_xpos[k][2] - model.geom_size[k][0] for k in feet)
         while data.time < 12:
@@ -257,7 +257,7 @@ def measure_stands(plan: Path) -> None:
         for name in names:
             row[f"position.{name}"] = f"{data.joint(name).qpos[0]:.9f}"
         carry = {k for pair in data.contact.geom for k in pair}
-        row["swing"] = " ".join(_foot(data.geom_xpos[k]) for k in feet if k not in carry)
+        row["swing"] = " ".join(_name_foot(data.geom_xpos[k]) for k in feet if k not in carry)
     with plan.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -274,14 +274,14 @@ def level(data: mujoco.MjData, feet: list[int]) -> None:
     mujoco.mju_axisAngle2Quat(data.qpos[3:7], about / max(np.linalg.norm(about), 1e-12), angle)
 
 
-def _foot(place: np.ndarray) -> str:
+def _name_foot(place: np.ndarray) -> str:
     """Return the leg of a foot by its position in the world: FR, FL, RR or RL."""
     return ("F" if place[0] > 0 else "R") + ("L" if place[1] > 0 else "R")
 
 
 def _write_log(path: Path, seconds: float = 4.0) -> None:
     """Write a log of the robot on a fixed base; each joint follows a sine about its home angle."""
-    model, data, names = _measured("pupper_v3_fixed")
+    model, data, names = _make_measured_robot("pupper_v3_fixed")
     mujoco.mj_resetDataKeyframe(model, data, 0)
     home, tones = data.ctrl.copy(), 1.0 + 0.37 * np.arange(model.nu)
     with path.open("w", newline="") as file:
@@ -332,7 +332,7 @@ def _write_sources(folder: Path) -> None:
     (folder / "unitree.py").write_text(isaac.replace("PUPPER_CFG", "UNITREE_GO2_CFG") + again)
 
 
-def _commit(folder: Path, text: str) -> None:
+def _commit_revisions(folder: Path, text: str) -> None:
     """Make a Git repository of a folder, with the revisions that pages name; then change its
     hopper.
     """
@@ -362,7 +362,7 @@ def write_models(folder: Path, text: str) -> None:
     (folder / "robots").mkdir(exist_ok=True)
     for suffix in (".urdf", ".xml"):
         file = folder / f"robots/v3{suffix}"
-        file.write_text(_quadruped(file, ""), encoding="utf-8")
+        file.write_text(_make_quadruped_text(file, ""), encoding="utf-8")
     (folder / "robots/pupper-analysis.toml").write_text(pair.replace("{}", ""))
     if "--init" not in text and not (folder / "pupper-analysis.toml").exists():
         (folder / "pupper-analysis.toml").write_text(pair.replace("{}", "robots/"))

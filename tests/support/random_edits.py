@@ -67,60 +67,60 @@ class Answer(NamedTuple):
         return self.truth >= FELT / BAND or not self.felt
 
 
-def _numbers(random: np.random.Generator, *spans: tuple[float, float]) -> str:
+def _draw_numbers(random: np.random.Generator, *spans: tuple[float, float]) -> str:
     return " ".join(f"{np.exp(random.uniform(*np.log(span))):.4g}" for span in spans)
 
 
 Value = Callable[[np.random.Generator], str]
 
 
-def _one(*choices: str) -> Value:
+def _draw_choice(*choices: str) -> Value:
     """Return a generator of one of several texts."""
     return lambda random: str(random.choice(choices))
 
 
 def _draw_within(*spans: tuple[float, float]) -> Value:
     """Return a generator of numbers, one per interval, uniform in their logarithm."""
-    return lambda random: _numbers(random, *spans)
+    return lambda random: _draw_numbers(random, *spans)
 
 
 _GEOM: dict[str, Value] = {
     "friction": _draw_within((0.01, 2.0), (1e-3, 0.1), (1e-4, 0.01)),
-    "condim": _one("1", "3", "4", "6"),
+    "condim": _draw_choice("1", "3", "4", "6"),
     "solref": _draw_within((0.004, 0.3), (0.3, 2.0)),
     "solimp": lambda random: (
         f"{random.uniform(0.01, 0.9):.3f} 0.95 {random.uniform(1e-3, 0.05):.4f}"
     ),
     "margin": _draw_within((1e-3, 0.03)),
     "gap": _draw_within((1e-4, 5e-3)),
-    "contype": _one("0", "1", "2", "3"),
-    "conaffinity": _one("0", "1", "2", "3"),
-    "priority": _one("1", "2"),
+    "contype": _draw_choice("0", "1", "2", "3"),
+    "conaffinity": _draw_choice("0", "1", "2", "3"),
+    "priority": _draw_choice("1", "2"),
     "solmix": _draw_within((0.01, 10.0)),
-    "rgba": _one("1 0 0 1"),
-    "group": _one("1", "4"),
+    "rgba": _draw_choice("1 0 0 1"),
+    "group": _draw_choice("1", "4"),
 }
 """{attribute of a geom: generator of a random value}."""
 
 _OPTION: dict[str, Value] = {
     "timestep": _draw_within((5e-4, 8e-3)),
-    "integrator": _one("Euler", "RK4", "implicit", "implicitfast"),
-    "cone": _one("pyramidal", "elliptic"),
-    "solver": _one("PGS", "CG", "Newton"),
-    "jacobian": _one("dense", "sparse"),
+    "integrator": _draw_choice("Euler", "RK4", "implicit", "implicitfast"),
+    "cone": _draw_choice("pyramidal", "elliptic"),
+    "solver": _draw_choice("PGS", "CG", "Newton"),
+    "jacobian": _draw_choice("dense", "sparse"),
     "impratio": _draw_within((0.5, 100.0)),
-    "iterations": _one("1", "2", "5", "50", "100"),
+    "iterations": _draw_choice("1", "2", "5", "50", "100"),
     "tolerance": _draw_within((1e-12, 1e-3)),
-    "ls_iterations": _one("1", "5", "50"),
-    "noslip_iterations": _one("0", "1", "5"),
+    "ls_iterations": _draw_choice("1", "5", "50"),
+    "noslip_iterations": _draw_choice("0", "1", "5"),
     "gravity": lambda random: f"0 0 {-random.uniform(1.0, 12.0):.3f}",
-    "wind": _one("1 0 0"),
+    "wind": _draw_choice("1 0 0"),
     "density": _draw_within((0.1, 100.0)),
 }
 """{attribute of ``option``: generator of a random value}."""
 
 _FLAG: dict[str, Value] = {
-    name: _one("enable", "disable")
+    name: _draw_choice("enable", "disable")
     for name in ("contact", "constraint", "gravity", "frictionloss", "limit", "warmstart",
                  "filterparent", "actuation", "refsafe", "eulerdamp", "multiccd", "energy")
 }  # fmt: skip
@@ -233,7 +233,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+def _edit_default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     """Change a default class, or the class of an element; return what was changed."""
     classes = [default for default in root.iter("default") if default.get("class")]
     using = [geom for geom in root.iter("geom", "joint", "motor", "position", "general")
@@ -254,24 +254,24 @@ def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> st
 
 
 _COMPILER: dict[str, Value] = {
-    "angle": _one("degree", "radian"),
-    "eulerseq": _one("xyz", "XYZ", "zyx"),
-    "autolimits": _one("false", "true"),
-    "inertiafromgeom": _one("true", "false", "auto"),
-    "fusestatic": _one("true", "false"),
+    "angle": _draw_choice("degree", "radian"),
+    "eulerseq": _draw_choice("xyz", "XYZ", "zyx"),
+    "autolimits": _draw_choice("false", "true"),
+    "inertiafromgeom": _draw_choice("true", "false", "auto"),
+    "fusestatic": _draw_choice("true", "false"),
     "boundmass": _draw_within((1e-4, 1.0)),
     "boundinertia": _draw_within((1e-6, 1e-2)),
     "settotalmass": _draw_within((3.0, 60.0)),
-    "balanceinertia": _one("true"),
-    "discardvisual": _one("true", "false"),
-    "inertiagrouprange": _one("0 2", "2 5", "0 5"),
-    "alignfree": _one("true", "false"),
-    "saveinertial": _one("true"),
+    "balanceinertia": _draw_choice("true"),
+    "discardvisual": _draw_choice("true", "false"),
+    "inertiagrouprange": _draw_choice("0 2", "2 5", "0 5"),
+    "alignfree": _draw_choice("true", "false"),
+    "saveinertial": _draw_choice("true"),
 }
 """{attribute of ``compiler``: generator of a random value}."""
 
 
-def _compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+def _edit_compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     """Set an attribute of ``compiler``; return it with its value."""
     found = root.find("compiler")
     compiler = etree.SubElement(root, "compiler") if found is None else found
@@ -280,16 +280,16 @@ def _compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> s
     return f"{word} {compiler.get(word)}"
 
 
-def _size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+def _add_size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     """Add a ``size`` element with one attribute; return it with its value."""
     size = etree.SubElement(root, "size")
     word = str(random.choice(["njmax", "nconmax", "memory", "nuserdata", "nkey", "nuser_geom"]))
-    size.set(word, {"memory": _one("64K", "16M"), "njmax": _one("20", "2000"),
-                    "nconmax": _one("4", "400")}.get(word, _one("3", "9"))(random))  # fmt: skip
+    choices = {"memory": ("64K", "16M"), "njmax": ("20", "2000"), "nconmax": ("4", "400")}
+    size.set(word, _draw_choice(*choices.get(word, ("3", "9")))(random))
     return f"{word} {size.get(word)}"
 
 
-def _key(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+def _edit_keyframe(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     """Make a mistake in the first keyframe, such as a reordered quaternion; return its name."""
     keys = list(root.iter("key"))
     if not keys:
@@ -319,7 +319,7 @@ def _key(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
     return slip
 
 
-def _include(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+def _move_to_include(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
     """Move a section into an included file; in an edited part change one number of it."""
     one_key = len(list(root.iter("key"))) == 1  # rollouts begin with the first
     tags = ("default", "actuator", "contact", "worldbody", *(["keyframe"] if one_key else []))
@@ -337,7 +337,7 @@ def _include(root: Element, random: np.random.Generator, folder: Path, name: str
     return f"{section.tag}: {what}"
 
 
-def _attach(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+def _attach_tool(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
     """Attach a model of a tool to the first body; in an edited part change one number of it."""
     tool = etree.fromstring(
         '<mujoco><compiler angle="radian"/><worldbody><body name="tool" pos="0.05 0.01 0.08">'
@@ -362,7 +362,7 @@ def _attach(root: Element, random: np.random.Generator, folder: Path, name: str)
     return what
 
 
-def _replicate(root: Element, random: np.random.Generator, _: Path, name: str) -> str:
+def _add_repeated_geoms(root: Element, random: np.random.Generator, _: Path, name: str) -> str:
     """Add repeated geoms to the first body; in an edited part change their number or one value."""
     body = next(root.iter("body"))
     several = etree.SubElement(body, "replicate", count="3", offset="0.04 0 0.01")
@@ -377,13 +377,13 @@ def _replicate(root: Element, random: np.random.Generator, _: Path, name: str) -
 
 
 _STRUCTURE: dict[str, Callable[[Element, np.random.Generator, Path, str], str]] = {
-    "default": _default,
-    "compiler": _compiler,
-    "size": _size,
-    "key": _key,
-    "include": _include,
-    "attach": _attach,
-    "replicate": _replicate,
+    "default": _edit_default,
+    "compiler": _edit_compiler,
+    "size": _add_size,
+    "key": _edit_keyframe,
+    "include": _move_to_include,
+    "attach": _attach_tool,
+    "replicate": _add_repeated_geoms,
 }
 """{kind of a structural edit: function that makes it}."""
 
@@ -471,7 +471,7 @@ def compute_answers(
         structure: Whether the structure of the file is edited; see ``edit_structure``.
     """
     folder = scratch / "robot"
-    shutil.copytree(source.parent, folder, copy_function=_linked)
+    shutil.copytree(source.parent, folder, copy_function=_link_file)
     original, edited = folder / source.name, folder / f"edited_{source.name}"
     before, found = rollout(original), []
     for seed in range(first, first + 20 * count):
@@ -497,17 +497,17 @@ def compute_answers(
             message.code == "simulation-changes" for message in diff.combined
         )
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
-        placed = made.element is None or str(_line(tree, made.element, edited)) in places
+        placed = made.element is None or str(_find_line(tree, made.element, edited)) in places
         found.append(Answer(f"{made.what}, seed {seed}", truth, felt, diff.same, placed))
     return found
 
 
-def _line(tree: etree._ElementTree, element: Element, written: Path) -> int:
+def _find_line(tree: etree._ElementTree, element: Element, written: Path) -> int:
     """Return the line of an element in the file to which its tree was written."""
     (there,) = etree.parse(written).xpath(tree.getpath(element))
     return int(there.sourceline)
 
 
-def _linked(source: str, target: str) -> None:
+def _link_file(source: str, target: str) -> None:
     """Link a file instead of copying it, as ``copy_function`` of ``shutil.copytree``."""
     Path(target).symlink_to(Path(source).resolve())

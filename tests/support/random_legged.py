@@ -94,7 +94,9 @@ def draw_robot(seed: int) -> Robot:
             0 if legs == 3 and leg == 2 else 1 if leg % 2 else -1
         )  # of three the last is in front
         row = leg // 2 - (math.ceil(legs / 2) - 1) / 2
-        robot.links += _leg(random, leg, row, side, HIPS[joints], size, effort, foot, flat=flat)
+        robot.links += _draw_leg(
+            random, leg, row, side, HIPS[joints], size, effort, foot, flat=flat
+        )
     if flat and random.integers(2):  # a spring in each ankle's roll, and no motor
         robot.links = [
             replace(link, stiffness=3 * effort, effort=0.0) if link.joint.endswith("_5") else link
@@ -118,7 +120,7 @@ def draw_robot(seed: int) -> Robot:
     return robot
 
 
-def _leg(
+def _draw_leg(
     random: np.random.Generator,
     leg: int,
     row: float,
@@ -161,11 +163,11 @@ def _leg(
             )
         )  # fmt: skip
         parent = links[-1].name
-    links[-1].shape = _foot(random, size, flat=flat)
+    links[-1].shape = _draw_foot(random, size, flat=flat)
     return links
 
 
-def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
+def _draw_foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
     """Draw the geoms of a foot; the legs of a robot may have different ones."""
     if flat:
         return str(
@@ -197,8 +199,8 @@ def _foot(random: np.random.Generator, size: float, *, flat: bool) -> str:
 def write_robot(robot: Robot, folder: Path) -> Pair:
     """Write the URDF and the MJCF of a robot."""
     pair = Pair(folder / "robot.urdf", folder / "robot.xml")
-    pair.urdf.write_text(_urdf(robot))
-    pair.mjcf.write_text(_mjcf(robot))
+    pair.urdf.write_text(_make_urdf(robot))
+    pair.mjcf.write_text(_make_mjcf(robot))
     return pair
 
 
@@ -207,21 +209,21 @@ def _join_numbers(values: tuple[float, ...]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _moments(mass: float) -> Triple:
+def _compute_moments(mass: float) -> Triple:
     """Return the principal moments of inertia [kg m^2] of a link by its mass [kg]."""
     return (0.01 * mass, 0.012 * mass, 0.008 * mass)
 
 
-def _inertial(mass: float, com: Triple) -> str:
+def _make_inertial(mass: float, com: Triple) -> str:
     """Return the ``inertial`` element of a URDF."""
-    xx, yy, zz = _moments(mass)
+    xx, yy, zz = _compute_moments(mass)
     return (
         f'<inertial><origin xyz="{_join_numbers(com)}"/><mass value="{mass!r}"/>'
         f'<inertia ixx="{xx!r}" iyy="{yy!r}" izz="{zz!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
 
 
-def _urdf(robot: Robot) -> str:
+def _make_urdf(robot: Robot) -> str:
     """Return the URDF; if the base is offset, its root is an empty link on a fixed joint."""
     lines = ['<robot name="random">']
     if any(robot.offset):
@@ -229,13 +231,13 @@ def _urdf(robot: Robot) -> str:
             '<link name="footprint"/><joint name="to_base" type="fixed"><parent link="footprint"/>'
             f'<child link="base"/><origin xyz="{_join_numbers(robot.offset)}"/></joint>'
         ]
-    lines += [f'<link name="base">{_inertial(robot.base_mass, (0, 0, 0))}</link>']
+    lines += [f'<link name="base">{_make_inertial(robot.base_mass, (0, 0, 0))}</link>']
     for link in robot.links:
         if link.where == "mjcf":
             continue
         low, high = link.limits
         lines += [
-            f'<link name="{link.name}">{_inertial(link.mass, link.com)}</link>',
+            f'<link name="{link.name}">{_make_inertial(link.mass, link.com)}</link>',
             f'<joint name="{link.joint}" type="revolute"><parent link="{link.parent}"/>'
             f'<child link="{link.name}"/><origin xyz="{_join_numbers(link.place)}"/>'
             f'<axis xyz="{_join_numbers(link.axis)}"/>'
@@ -244,7 +246,7 @@ def _urdf(robot: Robot) -> str:
     return "\n".join([*lines, "</robot>"])
 
 
-def _mjcf(robot: Robot) -> str:
+def _make_mjcf(robot: Robot) -> str:
     """Return the MJCF with free or fixed base, and with actuators, floor and keyframe as chosen."""
     lines, p = [], robot.prefix
     unit = 180 / math.pi if robot.degrees else 1.0
@@ -266,7 +268,7 @@ def _mjcf(robot: Robot) -> str:
             text += (
                 f'<body name="{p}{link.name}" pos="{_join_numbers(link.place)}"><inertial '
                 f'pos="{_join_numbers(link.com)}" mass="{link.mass!r}" '
-                f'diaginertia="{_join_numbers(_moments(link.mass))}"/>'
+                f'diaginertia="{_join_numbers(_compute_moments(link.mass))}"/>'
                 f'<joint name="{p}{link.joint}" axis="{_join_numbers(link.axis)}" range="{limits}" '
                 f'armature="{robot.armature}" damping="0.2" {spring}{given(link)}/>{link.shape}'
                 f"{body(link.name)}</body>"
@@ -277,9 +279,10 @@ def _mjcf(robot: Robot) -> str:
     inside += body("base")
     floor = '<geom name="ground" type="plane" size="0 0 1"/>' if robot.floor else ""
     free = "<freejoint/>" if robot.base == "free" else ""
+    moments = _join_numbers(_compute_moments(robot.base_mass))
     world = (
         f'{floor}<body name="{p}base" pos="0 0 {robot.height}">{free}<inertial pos="0 0 0" '
-        f'mass="{robot.base_mass!r}" diaginertia="{_join_numbers(_moments(robot.base_mass))}"/>'
+        f'mass="{robot.base_mass!r}" diaginertia="{moments}"/>'
         f"{inside}</body>"
     )
     lines.append(f"<worldbody>{world}</worldbody><actuator>")
@@ -303,7 +306,16 @@ def _mjcf(robot: Robot) -> str:
             lines.append(kinds[robot.motors])
     key = ""
     if robot.keyframe and robot.base == "free":
-        qpos = [0.0, 0.0, robot.height, 1.0, 0.0, 0.0, 0.0, *(link.home for link in _order(robot))]
+        qpos = [
+            0.0,
+            0.0,
+            robot.height,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            *(link.home for link in _sort_links(robot)),
+        ]
         key = f'<keyframe><key name="home" qpos="{_join_numbers(tuple(qpos))}"/></keyframe>'
     angle = "degree" if robot.degrees else "radian"
     return (
@@ -313,7 +325,7 @@ def _mjcf(robot: Robot) -> str:
     )
 
 
-def _order(robot: Robot) -> list[Link]:
+def _sort_links(robot: Robot) -> list[Link]:
     """Return the links of the MJCF in the order of its bodies: depth first."""
 
     def below(name: str) -> list[Link]:

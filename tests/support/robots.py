@@ -96,14 +96,14 @@ def quadruped() -> Parts:
         parts += [
             Part(
                 f"thigh{leg}", "base", f"hip{leg}", position=(x, y, 0.01),
-                quaternion=_unit(1.0, 0.1 * leg, 0.05, -0.1), axis=(1.0, 0.0, 0.0),
+                quaternion=_make_unit(1.0, 0.1 * leg, 0.05, -0.1), axis=(1.0, 0.0, 0.0),
                 mass=1.0 * more, com=(0.01, 0.02 * more, -0.03),
                 inertia=(0.005, 0.005 * more, 0.0022, 1e-4, -3e-4, 8e-4),
                 lower=-1.0 - 0.01 * leg, upper=0.9, effort=20.0 + leg,
             ),
             Part(
                 f"shank{leg}", f"thigh{leg}", f"knee{leg}", position=(0.0, 0.08, -0.2),
-                quaternion=_unit(1.0, 0.0, 0.2, 0.03 * leg), axis=(0.0, 1.0, 0.0),
+                quaternion=_make_unit(1.0, 0.0, 0.2, 0.03 * leg), axis=(0.0, 1.0, 0.0),
                 mass=0.2 * more, com=(0.004, 0.001, -0.12),
                 inertia=(0.0015, 0.0014 * more, 3e-4, 1e-6, 2e-5, 3e-6),
                 lower=-2.5, upper=-0.5 - 0.01 * leg, effort=35.0 + leg, armature=0.02,
@@ -118,7 +118,7 @@ def arm() -> Parts:
         Part("base", mass=3.0, com=(0.0, 0.01, 0.02)),
         Part("column", "base", "turn", "continuous", (0.0, 0.0, 0.1), axis=(0.0, 0.0, 1.0)),
         Part(
-            "boom", "column", "lift", "revolute", (0.05, 0.0, 0.2), _unit(1.0, 0.1, 0.0, 0.3),
+            "boom", "column", "lift", "revolute", (0.05, 0.0, 0.2), _make_unit(1.0, 0.1, 0.0, 0.3),
             axis=(0.0, 1.0, 0.0), com=(0.2, 0.0, 0.0), inertia=(0.02, 0.04, 0.05, 1e-3, 0.0, 0.0),
         ),
         Part(
@@ -136,7 +136,7 @@ def pendulum(**values: Any) -> Parts:
     return {"base": Part("base", mass=1.0), "bob": replace(bob, **values)}
 
 
-def _unit(*quaternion: float) -> tuple[float, ...]:
+def _make_unit(*quaternion: float) -> tuple[float, ...]:
     """Return a quaternion divided by its norm."""
     return tuple(np.array(quaternion) / np.linalg.norm(quaternion))
 

@@ -91,13 +91,15 @@ class RolloutCache:
                 self.reused += 1
         if stored is None:
             states, sensors = _simulate(model, data, initial_state, control, **options)
-            self._store(key, Rollout(states.copy(), sensors.copy(), _get_inputs(models, workers)))
+            self._store_result(
+                key, Rollout(states.copy(), sensors.copy(), _get_inputs(models, workers))
+            )
             return states, sensors
         for worker, inputs in zip(workers, stored.inputs, strict=True):
             mujoco.mj_setState(models[0], worker, inputs, INPUTS)
         return stored.states.copy(), stored.sensors.copy()
 
-    def _store(self, key: bytes, result: Rollout) -> None:
+    def _store_result(self, key: bytes, result: Rollout) -> None:
         """Store a result, and drop the least recently used results above ``MAX_BYTES``."""
         with self._lock:
             self.simulated += 1

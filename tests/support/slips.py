@@ -28,7 +28,7 @@ def standing(folder: Path, **options: object) -> legged.Pair:
     return pair
 
 
-def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:
+def _edit_number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:
     """Return an edit of an attribute with a single number, in one random place or in all."""
 
     def slip(text: str, random: np.random.Generator) -> str:
@@ -57,24 +57,24 @@ def _edit_list(attribute: str, change: Callable[[list[float], np.random.Generato
     return slip
 
 
-def _text(old: str, new: str, *, one: bool = False) -> Slip:
+def _replace_text(old: str, new: str, *, one: bool = False) -> Slip:
     """Return an edit that replaces a text once or everywhere."""
     return lambda text, _: text.replace(old, new, 1 if one else -1)
 
 
-def _sign(values: list[float], random: np.random.Generator) -> None:
+def _change_sign(values: list[float], random: np.random.Generator) -> None:
     """Change the sign of one random value."""
     index = int(random.integers(len(values)))
     values[index] = -values[index]
 
 
-def _swap(values: list[float], random: np.random.Generator) -> None:
+def _swap_values(values: list[float], random: np.random.Generator) -> None:
     """Exchange two random values."""
     one, two = random.choice(len(values), 2, replace=False)
     values[one], values[two] = values[two], values[one]
 
 
-def _degrees(values: list[float], _: np.random.Generator) -> None:
+def _convert_to_degrees(values: list[float], _: np.random.Generator) -> None:
     """Convert values from rad to degrees."""
     values[:] = [math.degrees(value) for value in values]
 
@@ -94,40 +94,40 @@ def _other_joint(text: str, random: np.random.Generator) -> str:
 
 
 SLIPS: dict[str, Slip] = {
-    "kp of one has the wrong sign": _number("kp", lambda v: -v, one=True),
-    "kp is 0": _number("kp", lambda _: 0.0, one=False),
-    "kp is a thousandth": _number("kp", lambda v: v / 1000, one=False),
-    "kp is ten times": _number("kp", lambda v: v * 10, one=False),
-    "kv has the wrong sign": _number("kv", lambda v: -v, one=False),
-    "kv of one has the wrong sign": _number("kv", lambda v: -v, one=True),
-    "kv is ten times": _number("kv", lambda v: v * 10, one=False),
-    "gear of all is -1": _text('kp="150"', 'gear="-1" kp="150"'),
-    "gear is 10": _text('kp="150"', 'gear="10" kp="150"'),
-    "timeconst is milliseconds": _text('kp="150"', 'timeconst="20" kp="150"'),
-    "forcerange is a tenth": _text('kp="150"', 'forcerange="-0.5 0.5" kp="150"'),
+    "kp of one has the wrong sign": _edit_number("kp", lambda v: -v, one=True),
+    "kp is 0": _edit_number("kp", lambda _: 0.0, one=False),
+    "kp is a thousandth": _edit_number("kp", lambda v: v / 1000, one=False),
+    "kp is ten times": _edit_number("kp", lambda v: v * 10, one=False),
+    "kv has the wrong sign": _edit_number("kv", lambda v: -v, one=False),
+    "kv of one has the wrong sign": _edit_number("kv", lambda v: -v, one=True),
+    "kv is ten times": _edit_number("kv", lambda v: v * 10, one=False),
+    "gear of all is -1": _replace_text('kp="150"', 'gear="-1" kp="150"'),
+    "gear is 10": _replace_text('kp="150"', 'gear="10" kp="150"'),
+    "timeconst is milliseconds": _replace_text('kp="150"', 'timeconst="20" kp="150"'),
+    "forcerange is a tenth": _replace_text('kp="150"', 'forcerange="-0.5 0.5" kp="150"'),
     "actuators have another joint": _other_joint,
-    "ctrl of one has the wrong sign": _edit_list("ctrl", _sign),
-    "ctrl of two is swapped": _edit_list("ctrl", _swap),
-    "ctrl is in degrees": _edit_list("ctrl", _degrees),
+    "ctrl of one has the wrong sign": _edit_list("ctrl", _change_sign),
+    "ctrl of two is swapped": _edit_list("ctrl", _swap_values),
+    "ctrl is in degrees": _edit_list("ctrl", _convert_to_degrees),
     "ctrl of one is a tenth": _edit_list("ctrl", _divide_by_ten),
-    "ctrl is of lying down": _text(
+    "ctrl is of lying down": _replace_text(
         'ctrl="' + " ".join(["0 0.6 -1.2"] * 4), 'ctrl="' + " ".join(["0 1.5 -2.6"] * 4)
     ),
-    "qpos of one has the wrong sign": _edit_list("qpos", _sign),
-    "qpos of two is swapped": _edit_list("qpos", _swap),
-    "a range is in degrees": _edit_list("range", _degrees),
+    "qpos of one has the wrong sign": _edit_list("qpos", _change_sign),
+    "qpos of two is swapped": _edit_list("qpos", _swap_values),
+    "a range is in degrees": _edit_list("range", _convert_to_degrees),
     "an axis has the wrong sign": _edit_list("axis", lambda v, _: v.__setitem__(1, -1.0)),
-    "a mass is ten times": _number("mass", lambda v: v * 10, one=True),
-    "negative damping": _text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
-    "damping is a thousand times": _text('axis="0 1 0"', 'axis="0 1 0" damping="500"'),
-    "dry friction is in N mm": _text('axis="0 1 0"', 'axis="0 1 0" frictionloss="50"'),
-    "contact parameters are overridden": _text(
+    "a mass is ten times": _edit_number("mass", lambda v: v * 10, one=True),
+    "negative damping": _replace_text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
+    "damping is a thousand times": _replace_text('axis="0 1 0"', 'axis="0 1 0" damping="500"'),
+    "dry friction is in N mm": _replace_text('axis="0 1 0"', 'axis="0 1 0" frictionloss="50"'),
+    "contact parameters are overridden": _replace_text(
         "<option ", '<option o_solref="2 1"><flag override="enable"/></option><option '
     ),
-    "a foot is excluded": _text(
+    "a foot is excluded": _replace_text(
         "<actuator>", '<contact><exclude body1="world" body2="FL_calf"/></contact><actuator>'
     ),
-    "the floor is slippery": _text(
+    "the floor is slippery": _replace_text(
         '<geom type="plane"', '<geom priority="1" friction="0.02" type="plane"'
     ),
 }

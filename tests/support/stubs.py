@@ -533,7 +533,7 @@ def files() -> Any:
     return found
 
 
-def _variants() -> Report:
+def _write_variants_report() -> Report:
     """Return the report of the comparison of three variants."""
     other = row(
         "two",
@@ -548,7 +548,7 @@ def _variants() -> Report:
     return _make_report(Document(Name("Variants"), Name("variants"), (compared,)))
 
 
-def _pushes() -> Report:
+def _write_pushes_report() -> Report:
     """Return the report of two push recoveries with their comparison."""
     both = [make_push_result("one", 0.0, 0.00311), make_push_result("two", 0.1, 0.0)]
     push = tool("push.document")
@@ -567,8 +567,8 @@ _REPORTS: dict[str, tuple[str, Callable[[], Report]]] = {
         "analyze",
         lambda: _make_report(tool("analyze.document").analysis_document(ANALYSIS)),
     ),
-    "variants": ("analyze", _variants),
-    "pushes": ("push", _pushes),
+    "variants": ("analyze", _write_variants_report),
+    "pushes": ("push", _write_pushes_report),
     "stance": ("stand", lambda: _make_report(tool("stand.document").stance_document(stance()))),
     "payload": (
         "payload",

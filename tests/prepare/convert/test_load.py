@@ -202,7 +202,7 @@ def test_tendon_servo_is_commanded_to_its_current_length(tmp_path: Path) -> None
     assert torque == pytest.approx(-9.81 * lift, rel=1e-9)
 
 
-def _chain(first: str) -> str:
+def _make_chain(first: str) -> str:
     """Return a URDF of two hinges in series, with the given inertial of the first link."""
     joints = format_joint("one", "base", "a", AXIS), format_joint("two", "a", "b", AXIS)
     return format_urdf(
@@ -216,10 +216,10 @@ AXIS = f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{LIMIT}'
 def test_robot_without_any_mass_is_refused(tmp_path: Path) -> None:
     """A robot with a single massless link is accepted: the link gets 1 g, with a note."""
     path = tmp_path / "chain.urdf"
-    path.write_text(_chain(""))
+    path.write_text(_make_chain(""))
     with pytest.raises(pa.ModelError, match="the mass of all links is 0 kg"):
         pa.load_robot(path)
-    path.write_text(_chain(INERTIAL))
+    path.write_text(_make_chain(INERTIAL))
     robot = pa.load_robot(path)
     assert [note.subject.name for note in robot.notes if note.code == "mass-given"] == ["b"]
 

@@ -29,7 +29,7 @@ def _write_changed(folder: Path, *changes: tuple[str, str]) -> Path:
     return rewrite_file(write_standing_urdf(folder), *changes)
 
 
-def _drift(mjcf: Path, but: str = "") -> float:
+def _measure_drift(mjcf: Path, but: str = "") -> float:
     """Return the largest displacement of the joints (except `but`) and of the base height,
     orientation included, after 3 s of bare MuJoCo from the keyframe.
     """
@@ -150,7 +150,7 @@ def test_keyframe_of_a_robot_with_a_mimic_joint_holds_in_mujoco(
     urdf = _with_arm(tmp_path, f'<mimic joint="arm1" multiplier="{factor}"/>')
     mjcf, found = convert_file(urdf, "quad.xml")
     assert found.passed, found.failures
-    assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
+    assert _measure_drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_mimic_of_an_unknown_joint_is_left_out_with_a_note(leader: str, tmp_path
     assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.not_converted))
     assert not found.agree
     assert compile_file(mjcf).nu == 14
-    assert _drift(mjcf) < 1e-4
+    assert _measure_drift(mjcf) < 1e-4
 
 
 # ---------------------------------------------------------------------------- an MJCF as a URDF
@@ -171,7 +171,7 @@ def test_mimic_of_an_unknown_joint_is_left_out_with_a_note(leader: str, tmp_path
 _INERTIAL = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.02 0.025"/>'
 
 
-def _mjcf(
+def _write_mjcf(
     folder: Path, *, before: str = "", geoms: str = "", world: str = "", after: str = ""
 ) -> Path:
     path = folder / "two.xml"
@@ -192,7 +192,7 @@ def test_elements_around_the_robot_are_reported(tmp_path: Path) -> None:
         '<geom type="plane" size="1 1 1"/><camera name="eye"/><body name="table"><geom size="0.1"/>'
         '</body><body name="goal" mocap="true"/>'
     )
-    source = _mjcf(
+    source = _write_mjcf(
         tmp_path,
         before='<option gravity="0 0 -3"/>',
         world=world,
@@ -215,12 +215,12 @@ def test_active_joint_coupling_becomes_a_mimic(tmp_path: Path) -> None:
     """
     line = '<joint joint1="j2" joint2="j1" polycoef="0.3 2 0 0 0" {}/>'
     inactive = 'active="false"'
-    off = _mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
+    off = _write_mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
     urdf, found = convert_file(off, "off.urdf")
     assert found.agree
     assert "<mimic" not in urdf.read_text()
     assert "equality constraint 1 (joint)" in map(str, found.not_converted)
-    twice = _mjcf(tmp_path, after=f"<equality>{2 * line.format('')}</equality>")
+    twice = _write_mjcf(tmp_path, after=f"<equality>{2 * line.format('')}</equality>")
     urdf, found = convert_file(twice, "twice.urdf")
     assert urdf.read_text().count("<mimic") == 1
     assert "equality constraint 2 (joint)" in map(str, found.not_converted)
@@ -233,7 +233,7 @@ def test_scaled_mesh_keeps_its_position(tmp_path: Path) -> None:
     trimesh.creation.box((0.1, 0.06, 0.04)).apply_translation((0.01, 0.02, 0.03)).export(
         tmp_path / "part.stl"
     )
-    source = _mjcf(
+    source = _write_mjcf(
         tmp_path,
         before='<asset><mesh name="m" file="part.stl" scale="1 -2 3"/></asset>',
         geoms='<geom type="mesh" mesh="m" pos="0.1 0.2 0.3" euler="10 20 30"/>',
@@ -268,7 +268,7 @@ def test_unconverted_mesh_of_an_attached_model_is_named(tmp_path: Path) -> None:
         <worldbody><body name="hand">{_INERTIAL}<geom type="mesh" mesh="hand"/></body></worldbody>
         </mujoco>"""
     )
-    source = _mjcf(
+    source = _write_mjcf(
         tmp_path,
         before='<asset><model name="h" file="sub/hand.xml"/></asset>',
         geoms='<attach model="h" body="hand" prefix="left_"/>',

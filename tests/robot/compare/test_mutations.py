@@ -278,7 +278,7 @@ def swapped_legs(files: Files) -> Expected:
     return {"position"}, {one.get("name"), two.get("name")}
 
 
-def _weight(link: Element) -> float:
+def _read_mass(link: Element) -> float:
     mass = link.find("inertial/mass")
     return 0.0 if mass is None else float(mass.get("value"))
 
@@ -290,7 +290,7 @@ def dropped_link(files: Files) -> Expected | None:
     feet = [
         joint
         for joint in files.urdf.iter("joint")
-        if joint.get("type") == "fixed" and _weight(links[joint.find("child").get("link")]) > 0
+        if joint.get("type") == "fixed" and _read_mass(links[joint.find("child").get("link")]) > 0
     ]
     if not feet:
         return None

@@ -89,7 +89,7 @@ class _Text:
         return self.lines
 
 
-def _mjlab(robot: Robot, path: Path) -> Lines:
+def _write_mjlab(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add("from library import ActuatorCfg, ArticulationCfg, EntityCfg, EnvCfg, mdp")
     text.add("ACTUATORS = (")
@@ -113,7 +113,7 @@ def _mjlab(robot: Robot, path: Path) -> Lines:
     return text.write(path)
 
 
-def _isaac_table(robot: Robot, path: Path) -> Lines:
+def _write_isaac_table(robot: Robot, path: Path) -> Lines:
     """Write ``params/env.yaml`` as Isaac Lab writes it: classes are texts under ``class_type``."""
     text = _Text()
     for row in (
@@ -153,7 +153,7 @@ def _isaac_table(robot: Robot, path: Path) -> Lines:
     return text.write(path)
 
 
-def _mjlab_table(robot: Robot, path: Path) -> Lines:
+def _write_mjlab_table(robot: Robot, path: Path) -> Lines:
     """Write ``params/env.yaml`` as mjlab writes it: classes and functions are tags of YAML."""
     text, tag = _Text(), "!!python/object:mjlab"
     text.add(f"{tag}.envs.manager_based_rl_env.ManagerBasedRlEnvCfg")
@@ -197,7 +197,7 @@ def _mjlab_table(robot: Robot, path: Path) -> Lines:
     return text.write(path)
 
 
-def _gym(robot: Robot, path: Path) -> Lines:
+def _write_gym(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add("class RobotCfg:")
     text.add("    class init_state:")
@@ -217,30 +217,30 @@ def _gym(robot: Robot, path: Path) -> Lines:
     return text.write(path)
 
 
-def _flat(text: _Text, robot: Robot, left: str, more: str = "") -> None:
+def _add_lists(text: _Text, robot: Robot, left: str, more: str = "") -> None:
     for quantity, word in LISTS.items():
         if quantity not in more:
             text.add(f"{left}{word}:")
             text.table(robot, quantity, f"{left}  - {{number}}")
 
 
-def _deploy(robot: Robot, path: Path) -> Lines:
+def _write_deploy(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add(f"joint_ids_map: {list(range(len(robot.order)))}")
-    _flat(text, robot, "")
+    _add_lists(text, robot, "")
     return text.write(path)
 
 
-def _ros(robot: Robot, path: Path) -> Lines:
+def _write_ros(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add("walker:")
     text.add("  ros__parameters:")
     text.add(f"    joint_names: [{', '.join(robot.order)}]", "order")
-    _flat(text, robot, "    ")
+    _add_lists(text, robot, "    ")
     return text.write(path)
 
 
-def _rtneural(robot: Robot, path: Path) -> Lines:
+def _write_rtneural(robot: Robot, path: Path) -> Lines:
     text = _Text()
     text.add('{"in_shape": [null, 36], "layers": [],')
     for quantity, word in LISTS.items():
@@ -257,7 +257,7 @@ _METADATA = {"default angle": "default_joint_pos", "kp": "joint_stiffness",
              "kd": "joint_damping", "action scale": "action_scale"}  # fmt: skip
 
 
-def _onnx(robot: Robot, path: Path) -> Lines:
+def _write_onnx(robot: Robot, path: Path) -> Lines:
     metadata = {word: ",".join(str(robot.numbers[quantity][joint]) for joint in robot.order)
             for quantity, word in _METADATA.items()}  # fmt: skip
     path.write_bytes(onnx(joint_names=",".join(robot.order), **metadata))
@@ -265,14 +265,14 @@ def _onnx(robot: Robot, path: Path) -> Lines:
 
 
 KINDS: dict[str, tuple[str, Callable[[Robot, Path], Lines]]] = {
-    "mjlab": ("env_cfg.py", _mjlab),
-    "legged_gym": ("robot_config.py", _gym),
-    "deploy": ("deploy.yaml", _deploy),
-    "ros2": ("controllers.yaml", _ros),
-    "RTNeural": ("policy.json", _rtneural),
-    "ONNX": ("policy.onnx", _onnx),
-    "Isaac Lab's env.yaml": ("env.yaml", _isaac_table),
-    "mjlab's env.yaml": ("env.yaml", _mjlab_table),
+    "mjlab": ("env_cfg.py", _write_mjlab),
+    "legged_gym": ("robot_config.py", _write_gym),
+    "deploy": ("deploy.yaml", _write_deploy),
+    "ros2": ("controllers.yaml", _write_ros),
+    "RTNeural": ("policy.json", _write_rtneural),
+    "ONNX": ("policy.onnx", _write_onnx),
+    "Isaac Lab's env.yaml": ("env.yaml", _write_isaac_table),
+    "mjlab's env.yaml": ("env.yaml", _write_mjlab_table),
 }
 """{kind of source: (file name, function that writes it)}."""
 

@@ -498,7 +498,7 @@ def test_revision_uses_its_own_includes_and_meshes(repository: Path) -> None:
 @pytest.mark.parametrize("link", ["/etc/hosts", "../../outside.xml"])
 def test_links_that_lead_out_of_a_revision_are_not_followed(repository: Path, link: str) -> None:
     (repository / "odd.xml").symlink_to(link)
-    _commit(repository)
+    _commit_all(repository)
     assert run(repository, "@:./robot.urdf", "robot.urdf").returncode == 0
 
 
@@ -514,7 +514,7 @@ def test_xacro_of_a_revision_is_expanded_with_its_included_files(repository: Pat
     text = text.replace("<link", '<xacro:include filename="mass.xacro"/><link', 1)
     robot.write_text(text.replace(f'<mass value="{mass}"', f'<mass value="${{{mass} + extra}}"', 1))
     git(repository, "add", ".")
-    _commit(repository)
+    _commit_all(repository)
     part.write_text(part.read_text().replace('"0"', '"2"'))
     found = pa.diff_models("HEAD:./robot.urdf.xacro", "robot.urdf.xacro", xacro=True)
     assert found.mass[1] - found.mass[0] == pytest.approx(2)
@@ -522,7 +522,7 @@ def test_xacro_of_a_revision_is_expanded_with_its_included_files(repository: Pat
         pa.diff_models("HEAD:./robot.urdf.xacro", "robot.urdf.xacro")
 
 
-def _commit(repository: Path) -> None:
+def _commit_all(repository: Path) -> None:
     git(repository, "add", ".")
     git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")
 
@@ -605,7 +605,7 @@ def test_file_of_git_lfs_is_read_from_its_store_or_refused(repository: Path) -> 
     name = hashlib.sha256(text).hexdigest()
     pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{name}\nsize {len(text)}\n"
     urdf.write_text(pointer)
-    _commit(repository)
+    _commit_all(repository)
     urdf.write_bytes(text)
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.EXIT_BAD_INPUT
     store = repository.parent / ".git" / "lfs" / "objects" / name[:2] / name[2:4]
@@ -630,7 +630,7 @@ def test_a_link_without_mass_is_compared(tmp_path: Path) -> None:
 
 def test_file_that_is_excluded_from_exports_is_read(repository: Path) -> None:
     (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
-    _commit(repository)
+    _commit_all(repository)
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
 
 
@@ -775,7 +775,7 @@ def test_error_in_a_revision_states_its_name_and_line(repository: Path) -> None:
     text = (repository / "robot.urdf").read_text().replace('value="6.0"', 'value="heavy"')
     (repository / "robot.urdf").write_text(text)
     line = text[: text.index('value="heavy"')].count("\n") + 1
-    _commit(repository)
+    _commit_all(repository)
     result = run(repository, "HEAD:./robot.urdf", "HEAD~1:./robot.urdf")
     assert result.returncode == cli.EXIT_BAD_INPUT
     assert result.stderr.startswith(f"error: HEAD:robots/robot.urdf:{line}: ")

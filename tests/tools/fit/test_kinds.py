@@ -30,7 +30,7 @@ def test_result_files_are_recognised_and_other_files_are_not(name: str, tmp_path
     write(path)
     write(path)
     others = [b"name,mass\nbase,1\n", b"\x89PNG\r\n\x1a\n", b"<!DOCTYPE html><html></html>", b"# x"]
-    for other in [*others, *_results(tmp_path, without=name)]:
+    for other in [*others, *_list_other_results(tmp_path, without=name)]:
         path.write_bytes(other)
         with pytest.raises(OutputError, match="of this package"):
             write(path)
@@ -39,7 +39,7 @@ def test_result_files_are_recognised_and_other_files_are_not(name: str, tmp_path
     write(path)
 
 
-def _results(folder: Path, without: str) -> list[bytes]:
+def _list_other_results(folder: Path, without: str) -> list[bytes]:
     made = []
     for name, write in WRITERS.items():
         if name == without:

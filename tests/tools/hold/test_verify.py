@@ -15,7 +15,7 @@ from tests.prepare.test_planted import causes, is_cause_right
 from tests.support import arm, arm_features, features
 
 
-def _servos(gain: float, bias: float) -> str:
+def _make_servos(gain: float, bias: float) -> str:
     return "".join(
         f'<general joint="{name}" gainprm="{gain * kp}" biastype="affine" '
         f'biasprm="{bias} -{kp} -20"/>'
@@ -31,8 +31,8 @@ _ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
     ("servos", "code", "joint"),
     [
         (arm._SERVOS, VerdictCode.HOLDS, None),
-        (_servos(1.0, 5.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
-        (_servos(1.1, 0.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (_make_servos(1.0, 5.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (_make_servos(1.1, 0.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
         (
             arm._SERVOS.replace(_ELBOW, '<velocity joint="elbow" kv="20"/>'),
             VerdictCode.OWN_DRIVES_FAIL,
