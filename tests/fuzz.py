@@ -1,15 +1,15 @@
 """Fuzz every command in one process: damaged files, unusual names and unusual arguments.
 
-Whatever its input, a command must end by itself within ``SECONDS`` with a documented exit status
-and without a traceback. It must show no control character, print no line that a CI service
-executes, leave every file complete, and not accept an MJCF that MuJoCo rejects. ::
+For each input, a command must end within ``MAX_PROCESSOR_TIME``, with a documented exit status and
+without a traceback. The command must print no control character and no line that a CI service
+executes, must leave all files complete, and must not accept an MJCF that MuJoCo rejects. ::
 
     python tests/fuzz.py 20000            # number of inputs (make fuzz N=20000)
     python tests/fuzz.py 500 --seed 1     # inputs of a seed, as in CI
     python tests/fuzz.py --again FILE     # one failure, as it was kept
 
-Failures are kept in build/fuzz; failures that were repaired are in tests/fuzz_seeds and run as
-tests.
+Inputs that fail are written to build/fuzz. Inputs of repaired failures are in tests/fuzz_seeds, and
+run as tests.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ import hypothesis
 from hypothesis import strategies as st
 
 ROOT = Path(__file__).resolve().parent.parent
-KEPT = ROOT / "build" / "fuzz"
+FAILURE_FOLDER = ROOT / "build" / "fuzz"
 """Folder of the inputs that fail."""
 
-SECONDS = 60
-"""Processor time [s] after which a command counts as hanging; the limit on elapsed time is five
-times as long, as other processes share the processor. The slowest input so far needed 26 s:
-``payload v3 --impratio 1e308``, which is refused now (``MAX_IMPRATIO``)."""
+MAX_PROCESSOR_TIME = 60
+"""Processor time [s] above which a command counts as hanging. The limit of the elapsed time is five
+times as long, because other processes share the processor. Chosen, not tuned: the slowest input
+needed 26 s."""
 
-STATUSES = (0, 1, 2)
+EXIT_STATUSES = (0, 1, 2)
 """Documented exit statuses: verified, not verified, bad input. Status 3, an internal error, is a
 failure."""
 
 
-BEFORE = {
+EXISTING_OUTPUTS = {
     "out.json": b'{\n  "generator": "pupper-analysis 0",\n  "written": "before"\n}\n',
     "out.csv": b"time (s),q a (rad),tau a (N m)\n",
     "out.png": b"\x89PNG\r\n\x1a\n tEXtSoftware\0pupper-analysis 0",
@@ -63,10 +63,10 @@ BEFORE = {
     "new.xml": b"<mujoco/>\n",
     "new.urdf": b"<robot/>\n",
 }
-"""{output file: its content before the command runs}: a result of its kind, or a model."""
+"""{output file: content before the command runs}: an older result, or a model."""
 
-STDIN = "stdin"
-"""Name of the file that is the standard input of the command."""
+STDIN_FILE = "stdin"
+"""Name of the file whose content is the standard input of the command."""
 
 
 class Hang(BaseException):
@@ -111,22 +111,22 @@ class Case:
 # ------------------------------------------------------------------------------------- checks
 
 
-def problems(case: Case, folder: Path) -> Iterator[str]:
+def find_problems(case: Case, folder: Path) -> Iterator[str]:
     """Run a command in an empty folder; yield each violation of the rules of this module."""
     for name, content in case.files.items():
         (folder / name).write_bytes(content)
     before = dict(case.files)
-    before |= BEFORE
-    for name, content in BEFORE.items():
+    before |= EXISTING_OUTPUTS
+    for name, content in EXISTING_OUTPUTS.items():
         (folder / name).write_bytes(content)
     status, said, taken = _run_command(case.arguments, folder)
     command = case.arguments[0] if case.arguments else ""
     if status is None:
-        yield f"no end within {SECONDS} s"
+        yield f"no end within {MAX_PROCESSOR_TIME} s"
         return
-    if status not in STATUSES:
+    if status not in EXIT_STATUSES:
         yield f"exit status {status}: {said[-500:]}"
-    if taken > SECONDS:
+    if taken > MAX_PROCESSOR_TIME:
         yield f"it took {taken:.0f} s"
     if "Traceback (most recent call last)" in said:
         yield f"a traceback: {said[-500:]}"
@@ -146,12 +146,12 @@ def _run_command(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, 
         raise Hang
 
     out = io.StringIO()
-    given = (folder / STDIN).read_bytes() if (folder / STDIN).is_file() else b""
+    given = (folder / STDIN_FILE).read_bytes() if (folder / STDIN_FILE).is_file() else b""
     usual, sys.stdin = sys.stdin, io.TextIOWrapper(io.BytesIO(given))
     status: int | None = None
     timers = {
-        signal.SIGPROF: (signal.ITIMER_PROF, SECONDS + 1),
-        signal.SIGALRM: (signal.ITIMER_REAL, 5 * SECONDS + 5),
+        signal.SIGPROF: (signal.ITIMER_PROF, MAX_PROCESSOR_TIME + 1),
+        signal.SIGALRM: (signal.ITIMER_REAL, 5 * MAX_PROCESSOR_TIME + 5),
     }
     before = {number: signal.signal(number, hang) for number in timers}
     start = time.process_time()
@@ -183,7 +183,7 @@ def _run_command(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, 
 def find_unsafe_output(output: str, arguments: tuple[str, ...]) -> Iterator[str]:
     """Yield control characters in the printed text, and lines that a CI service executes."""
     github = "github" in arguments
-    joiner = "\u2060" if "markdown" in arguments else ""  # which keeps names from acting there
+    joiner = "\u2060" if "markdown" in arguments else ""  # word joiner, which disables markup
     for letter in sorted(set(output) - {"\n", joiner}):
         if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp"):
             yield f"{letter!a} is shown as it is: {quote_around(output, letter)!a}"
@@ -215,7 +215,7 @@ def find_wrong_files(
         now = path.read_bytes()
         if now == content:
             continue
-        if name in BEFORE:
+        if name in EXISTING_OUTPUTS:
             ends = {
                 "out.json": (b"}\n", b"]\n", b"}", b"]"),
                 "out.csv": (b"\n",),
@@ -233,7 +233,8 @@ def find_wrong_files(
             elif not whole:
                 yield f"{name} is not whole: {now[:40]!r} … {now[-40:]!r}"
         elif arguments[:1] != ("sync",):
-            # What --force names once, as an output, is not read: "audit - --force --json FILE".
+            # With --force, a file on the command line once, as an output, is not an input:
+            # "audit - --force --json FILE".
             named = [argument for argument in arguments if Path(argument).name == name]
             if "--force" not in arguments or len(named) != 1 or name in read:
                 yield f"{name} was written to"
@@ -248,10 +249,10 @@ def _no_constant(word: str) -> None:
 
 
 def read_mujoco_refusal(folder: Path, case: Case) -> str | None:
-    """Return the error of MuJoCo's own reader for the MJCF that a command was given.
+    """Return the error with which MuJoCo refuses the MJCF on a command line.
 
-    None if there is no error or no MJCF, or if the command has overwritten the file, as by
-    ``--force --json robot.xml``.
+    None if there is no error or no MJCF, or if the command has overwritten the file, for example
+    with ``--force --json robot.xml``.
     """
     import mujoco
 
@@ -269,7 +270,7 @@ def read_mujoco_refusal(folder: Path, case: Case) -> str | None:
 
 
 def list_checked_mjcfs(folder: Path, arguments: tuple[str, ...]) -> list[str]:
-    """Return the MJCFs that ``check`` reads by its configuration; empty for other commands."""
+    """Return the MJCFs in the configuration of ``check``; empty for other commands."""
     if arguments[0] != "check":
         return []
     try:
@@ -287,14 +288,14 @@ def _split_words(text: str) -> list[str]:
     return text.split()
 
 
-ABSURD = (
+UNUSUAL_VALUES = (
     *("1e308", "-1e308", "1e-320", "nan", "inf", "-inf", "-1", "0", "", " ", "1e400", "0x10"),
     *("1,5", "1_000", "\u0661", "1 2", "1 2 3 4 5 6 7", "a", "true", "-0", "1e5", "1e-9"),
     *("999999999999999999999", "../../etc", "%s%n", "\u00e9"),
 )
 """Unusual numbers and texts as values of attributes and options."""
 
-NAMES = (
+UNUSUAL_NAMES = (
     *("", " ", "a b", "a/b", "../x", "a:b", "\n", "\u009b", "a\n::error::owned"),
     "\n##[error]owned",
     *("\u202ename", "\u2028", "<script>alert(1)</script>", "::error::owned", "[red]name[/red]"),
@@ -308,7 +309,7 @@ _REFERENCES = _split_words("""
 joint joint1 joint2 site body body1 body2 geom geom1 geom2 link mesh material class childclass
 tendon actuator objname file reftype refname name key texture hfield target refsite cranksite
 """)
-"""Attributes that are names or that refer to elements by name."""
+"""Attributes whose value is the name of an element."""
 
 _RICH = """
 <default><default class="leg"><geom rgba="1 0 0 1"/></default></default>
@@ -351,21 +352,21 @@ def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
     try:
         number = float(words[at])
         slips = [-number, 10 * number, number / 1000, 57.29578 * number, 1.01 * number, number + 1]
-        words[at] = draw(st.sampled_from([*map(repr, slips), *ABSURD]))
+        words[at] = draw(st.sampled_from([*map(repr, slips), *UNUSUAL_VALUES]))
         value = " ".join(words)
     except ValueError:
-        value = draw(st.sampled_from(ABSURD))
+        value = draw(st.sampled_from(UNUSUAL_VALUES))
     return text[: chosen.start()] + _format_attribute(chosen, value) + text[chosen.end() :]
 
 
 def _replace_reference(draw: st.DrawFn, text: bytes) -> bytes:
-    """Replace one name, or one reference, by another."""
+    """Replace the value of a random attribute of `_REFERENCES` by another name."""
     found = [at for at in _ATTRIBUTE.finditer(text) if at[1].decode() in _REFERENCES]
     if not found:
         return text
     chosen = draw(st.sampled_from(found))
     other = draw(st.sampled_from(found))[3].decode("utf-8", "replace")
-    value = draw(st.sampled_from(["nowhere", other, *NAMES]))
+    value = draw(st.sampled_from(["nowhere", other, *UNUSUAL_NAMES]))
     return text[: chosen.start()] + _format_attribute(chosen, value) + text[chosen.end() :]
 
 
@@ -416,7 +417,7 @@ def _wrap_element(draw: st.DrawFn, text: bytes) -> bytes:
 
 
 def _encode_text(draw: st.DrawFn, text: bytes) -> bytes:
-    """Encode the text otherwise than its declaration states, or as it states."""
+    """Encode the text, with a declaration of the same or another encoding."""
     said = draw(st.sampled_from(["utf-8", "latin-1", "utf-16", "ascii", "nonsense", "utf-7"]))
     real = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1", "utf-32"]))
     letters = f'<?xml version="1.0" encoding="{said}"?>\n<!-- \u00e9 -->\n' + text.decode(
@@ -425,7 +426,7 @@ def _encode_text(draw: st.DrawFn, text: bytes) -> bytes:
     return letters.encode(real, "replace")
 
 
-SPOIL: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
+DAMAGE_FUNCTIONS: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
     *(_spoil_value,) * 9,
     *(_replace_reference,) * 5,
     *(_edit_element, _delete_attribute, _wrap_element) * 2,
@@ -459,13 +460,16 @@ def _read_skeleton() -> tuple[bytes, bytes]:
 
 @st.composite
 def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> dict[str, bytes]:
-    """Draw the URDF and the MJCF of a robot, of which one or both are damaged."""
+    """Draw the URDF and the MJCF of a robot; at least one of the files is damaged.
+
+    A damage may leave a file unchanged.
+    """
     urdf, mjcf = draw(
         st.sampled_from([*_base_files(), _read_skeleton()] if pair is None else [pair])
     )
     which = draw(st.sampled_from(["urdf", "mjcf", "mjcf", "both"]))
     for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
-        spoil = draw(st.sampled_from(SPOIL))
+        spoil = draw(st.sampled_from(DAMAGE_FUNCTIONS))
         if which == "urdf" or (which == "both" and draw(st.booleans())):
             urdf = spoil(draw, urdf)
         else:
@@ -476,7 +480,7 @@ def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> di
 # ------------------------------------------------------------------------------------- commands
 
 _TEXTS = (
-    *ABSURD,
+    *UNUSUAL_VALUES,
     "5 deg",
     *_split_words("""
 0.1 0.2 5deg 10cm 90deg 1e6 -0.3 3.2 cm 50 0.01,0.02 0,0 1e308,0 nan,0 , 1,2,3 inf,inf 1cm,2cm
@@ -617,7 +621,7 @@ def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
 
 @st.composite
 def on_projects(draw: st.DrawFn) -> Case:
-    """Draw a command on several files, some of them damaged, or on standard input."""
+    """Draw a command on several files or standard input; some files are damaged."""
     command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
     files = draw(spoilt_files())
     of = "audit" if command == "-" else command
@@ -632,7 +636,7 @@ def on_projects(draw: st.DrawFn) -> Case:
         new = "new.xml" if which == "robot.urdf" else "new.urdf"
         return Case((command, which, "-o", new, "--force", *more), files)
     if command == "-":
-        files[STDIN] = files[which]
+        files[STDIN_FILE] = files[which]
         others = ["-", "robot.xml"] if which == "robot.urdf" else ["robot.urdf", "-"]
         if draw(st.booleans()):
             return Case(("crosscheck", *others, "--json", "out.json"), files)
@@ -642,7 +646,7 @@ def on_projects(draw: st.DrawFn) -> Case:
     for _ in range(draw(st.sampled_from([0, 1, 1, 2]))):
         text = _spoil_toml(draw, text)
     if command == "study":
-        # No metric is called so, which is refused when the file is read, and before anything runs.
+        # The metric does not exist, so the study is refused before it runs a simulation.
         words = ("study", name, "-o", "results", "--maximise", "no-such-metric")
         return Case((*words, *more), {name: text})
     return Case((command, *more), {**files, name: text})
@@ -651,7 +655,7 @@ def on_projects(draw: st.DrawFn) -> Case:
 @st.composite
 def on_variants(draw: st.DrawFn) -> Case:
     """Draw a command with unusual arguments on a variant of Pupper."""
-    # A push is simulated for half a minute if nothing is wrong with its arguments.
+    # A push with valid arguments is simulated for half a minute.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
     command = draw(st.sampled_from([*commands, "live"]))
     words = _draw_options(draw, command, 3, least=1)
@@ -659,7 +663,7 @@ def on_variants(draw: st.DrawFn) -> Case:
     if command == "best":
         words.insert(0, draw(st.sampled_from(["utilisation", "margin", "payload", "x"])))
         words += ["--height", "nan"] if draw(st.booleans()) else []
-    if command in ("push", "workspace", "best", "path", "analyze"):  # long, if all is well
+    if command in ("push", "workspace", "best", "path", "analyze"):  # slow with valid arguments
         words += ["--pitch", draw(st.sampled_from(["nan", "1e9", "x", "1e308"]))]
     if command != "live":
         words.insert(
@@ -680,17 +684,17 @@ def cases() -> st.SearchStrategy[Case]:
 # ------------------------------------------------------------------------------------- runs
 
 
-def found_in(case: Case) -> list[str]:
+def run_case(case: Case) -> list[str]:
     """Run an input in a temporary folder; return its problems."""
     with tempfile.TemporaryDirectory() as folder:
-        return list(problems(case, Path(folder)))
+        return list(find_problems(case, Path(folder)))
 
 
-def chunk(seed: int, count: int, seconds: float) -> int:
-    """Run inputs in this process and keep those that fail; return how many were run."""
+def run_chunk(seed: int, count: int, seconds: float) -> int:
+    """Run inputs in this process, write inputs that fail, and return the number of runs."""
     end = time.monotonic() + seconds
     ran = 0
-    now = KEPT / f"running-{os.getpid()}.json"
+    now = FAILURE_FOLDER / f"running-{os.getpid()}.json"
 
     @hypothesis.seed(seed)
     @hypothesis.settings(
@@ -708,18 +712,18 @@ def chunk(seed: int, count: int, seconds: float) -> int:
             return
         ran += 1
         now.write_text(case.to_json())
-        found = found_in(case)
+        found = run_case(case)
         if found:
-            keep(case, found)
+            keep_case(case, found)
 
     attempt()
     now.unlink(missing_ok=True)
     return ran
 
 
-def keep(case: Case, found: list[str]) -> None:
-    """Write an input that fails to ``KEPT``, and print its problems."""
-    path = KEPT / f"{secrets.token_hex(4)}.json"
+def keep_case(case: Case, found: list[str]) -> None:
+    """Write an input that fails to ``FAILURE_FOLDER``, and print its problems."""
+    path = FAILURE_FOLDER / f"{secrets.token_hex(4)}.json"
     path.write_text(json.dumps({**json.loads(case.to_json()), "found": found}, indent=1))
     print(f"{path.name}: {' '.join(case.arguments)[:120]!a}")
     for problem in found:
@@ -727,9 +731,9 @@ def keep(case: Case, found: list[str]) -> None:
 
 
 def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
-    """Run inputs in processes of ``size`` inputs each; return how many failed.
+    """Run inputs in processes of ``size`` inputs each; return the number of failed inputs.
 
-    A process that dies or hangs is a failure of the input that it was running.
+    If a process dies or hangs, its current input counts as failed.
 
     Args:
         count: Number of inputs.
@@ -737,29 +741,31 @@ def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
         seed: Seed of the first process.
         size: Inputs per process.
     """
-    KEPT.mkdir(parents=True, exist_ok=True)
-    kept = set(KEPT.glob("[!r]*.json"))
+    FAILURE_FOLDER.mkdir(parents=True, exist_ok=True)
+    kept = set(FAILURE_FOLDER.glob("[!r]*.json"))
     end, ran = time.monotonic() + seconds, 0
     while ran < count and time.monotonic() < end:
         left = end - time.monotonic()
         words = [str(seed), str(min(size, count - ran)), str(left)]
         process = subprocess.Popen([sys.executable, __file__, "--chunk", *words])
-        running = KEPT / f"running-{process.pid}.json"
+        running = FAILURE_FOLDER / f"running-{process.pid}.json"
         at, since = "", time.monotonic()
         while process.poll() is None:
             time.sleep(0.2)
             here = running.read_text() if running.is_file() else ""
             if here != at:
                 at, since = here, time.monotonic()
-            elif time.monotonic() - since > 6 * SECONDS:  # start-up counts, too
+            elif time.monotonic() - since > 6 * MAX_PROCESSOR_TIME:  # start-up counts, too
                 process.kill()
         if running.is_file():
             text = running.read_text()
             running.unlink()
-            keep(Case.from_json(text), [f"the process ended with {process.returncode}"])
+            keep_case(Case.from_json(text), [f"the process ended with {process.returncode}"])
         ran, seed = ran + min(size, count - ran), seed + 1
-        print(f"{ran} inputs, {len(set(KEPT.glob('[!r]*.json')) - kept)} failed", flush=True)
-    return len(set(KEPT.glob("[!r]*.json")) - kept)
+        print(
+            f"{ran} inputs, {len(set(FAILURE_FOLDER.glob('[!r]*.json')) - kept)} failed", flush=True
+        )
+    return len(set(FAILURE_FOLDER.glob("[!r]*.json")) - kept)
 
 
 def main() -> None:
@@ -772,12 +778,12 @@ def main() -> None:
     parser.add_argument("--again", type=Path, help="run a kept input once more")
     arguments = parser.parse_args()
     if arguments.again:
-        found = found_in(Case.from_json(arguments.again.read_text()))
+        found = run_case(Case.from_json(arguments.again.read_text()))
         print("\n".join(found) or "nothing is wrong")
         sys.exit(bool(found))
     if arguments.chunk:
         seed, count, seconds = arguments.chunk
-        chunk(int(seed), int(count), float(seconds))
+        run_chunk(int(seed), int(count), float(seconds))
         return
     print(f"seed {arguments.seed}")
     sys.exit(bool(run(arguments.count, arguments.seconds, arguments.seed)))

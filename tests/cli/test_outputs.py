@@ -1,6 +1,7 @@
-"""No output of any command overwrites an input, whatever links lead to it, or a file of another
-program. Commands, outputs and input files are taken from click; an unknown kind of input fails the
-test.
+"""Check that no output of a command overwrites an input, or a file of another program.
+
+The output path may lead to the input by links. Commands, outputs and input files are read from
+click. A test fails for an unknown kind of input.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ OPTIONS = {
     "start": "start.json",
     "config": "pupper-analysis.toml",
 }
-"""{option that names a file to be read: the file}; ``--urdf`` and ``--mjcf`` are arguments here."""
+"""{option whose value is an input file: file}; ``--urdf`` and ``--mjcf`` are not included."""
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
@@ -75,7 +76,7 @@ MORE: dict[str, list[list[str]]] = {
     "sync": [["--dry-run"], ["--take", "urdf"]],
     "check": [[], ["--update-baseline"]],
 }
-"""{command: further words that it requires, for each of its modes}."""
+"""{command: further words of the command line, for each mode of the command}."""
 
 INSIDE = {
     "robot.xml": ("parts.xml", "feet/foot.stl", "skin.png"),
@@ -83,7 +84,7 @@ INSIDE = {
     "study.toml": ("robot.urdf", "robot.xml"),
     "pupper-analysis.toml": ("robot.urdf", "robot.xml", "known.txt"),
 }
-"""{file: files that are read with it}."""
+"""{file: files that a command reads with this file}."""
 
 LINKS: dict[str, Callable[[Path, Path], Path]] = {
     "its name": lambda folder, file: file,
@@ -102,12 +103,12 @@ def _link_file(folder: Path, file: Path, link: Callable[[Path, Path], None]) -> 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with files of every kind that commands read."""
+    """Return a folder with a file of each kind that commands read."""
     return write_inputs(tmp_path_factory.mktemp("inputs"))
 
 
 def write_inputs(folder: Path) -> Path:
-    """Puts files of every kind that commands read into a folder."""
+    """Write a file of each kind that commands read to a folder, and return the folder."""
     pair = legged.quadruped(folder, floor=True, actuators="position")
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
     (folder / "feet").mkdir()
@@ -170,7 +171,7 @@ def sums(folder: Path) -> dict[Path, str]:
 
 
 def reads(command: click.Command, words: list[str]) -> list[str]:
-    """Returns the files that a command line of these words reads."""
+    """Return the files that a command reads with the arguments ``words``, and nested files."""
     named = [
         word
         for word in words
@@ -184,7 +185,7 @@ def reads(command: click.Command, words: list[str]) -> list[str]:
 
 
 def lines_of(command: click.Command) -> Iterator[list[str]]:
-    """Yields command lines in which every file is given that can be."""
+    """Yield a command line per mode of a command, with as many input files as possible."""
     given = [
         word
         for parameter in command.params
@@ -209,7 +210,10 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
 
 
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
-    """Yields the outputs of a command line; of folders with a file that is written into them."""
+    """Yield (output option, file) for each output of a command line.
+
+    For an output folder, the file is a file that the command writes to the folder; otherwise None.
+    """
     for option in command.outputs:
         given = dict.fromkeys(str(param.name) for param in command.params)
         given |= {"count": 4 if "--plan" in line else None}
@@ -226,12 +230,12 @@ def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parame
 def list_cases(
     command: Command,
 ) -> Iterator[tuple[list[str], str, str, click.Parameter, Path | None]]:
-    """Yields (command line, input, kind of link, output, file in that folder)."""
+    """Yield (command line, input, kind of link, output option, file in the output folder)."""
     for line in lines_of(command):
         named = reads(command, line)
         for option, inside in outputs_of(command, line):
             for number, file in enumerate(named):
-                # What is found only when a file is read: one link each, in turns.
+                # A file that is not on the command line: a single kind of link, in turns.
                 links = list(LINKS) if file in line else [list(LINKS)[number % len(LINKS)]]
                 for link in links:
                     yield line, file, link, option, inside
@@ -245,7 +249,7 @@ def aim_output_at_input(
     option: click.Parameter,
     inside: Path | None,
 ) -> list[str]:
-    """Return a command line in which one output is an input."""
+    """Return a command line whose output ``option`` is the input ``file``, by a kind of link."""
     if inside is not None:
         shutil.rmtree(folder / "into", ignore_errors=True)
         (folder / "into").mkdir()
@@ -273,8 +277,10 @@ def one_line(result: Answer) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
 def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> None:
-    """Each output at each named input by four paths, among them a symbolic and a hard link, and at
-    each file read with them by one path, also with --force: all files keep their SHA-256.
+    """All files keep their SHA-256, also with ``--force``.
+
+    Each output is aimed at each input on the command line by four paths, two of which are a
+    symbolic and a hard link, and at each nested input by one path.
     """
     before, count = sums(folder), 0
     for case in list_cases(command):
@@ -284,7 +290,7 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
             messages = (*words, *force, result)
             assert result.returncode == 2, messages
             fault, *steps = result.stderr.splitlines()
-            if "the file exists" in fault and not force:  # what a run reads is not known yet
+            if "the file exists" in fault and not force:  # the inputs of the run are not known yet
                 assert [step.split()[-1] for step in steps] in ([], ["--force"]), messages
             else:
                 assert one_line(result), messages
@@ -298,7 +304,7 @@ def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> N
 
 
 def test_every_command_with_a_path_is_swept() -> None:
-    """An option with a path is a known input of this test, or an output."""
+    """Each option with a path is a known input of this test, or an output."""
     for command in ALL:
         assert isinstance(command, Command), command.name
         for option in command.params:
@@ -307,23 +313,23 @@ def test_every_command_with_a_path_is_swept() -> None:
                 assert option.name in known, (command.name, option.name)
         writes = [o for o in command.params if isinstance(o, click.Option) and o.help]
         for option in writes:
-            # A number says which of what is written: where to is another option's.
+            # An option with a number selects the content; another option contains the path.
             counts = isinstance(option.type, click.IntRange)
             if option.help.startswith(("Write ", "Draw ")) and not (option.is_flag or counts):
                 assert isinstance(option.type, OutputPath), (command.name, option.name)
 
 
 def tiny(command: click.Command) -> list[str]:
-    """Returns a command line that is soon done, without outputs."""
+    """Return a command line of a short run, without outputs."""
     line = next(lines_of(command))
-    for name in ("-o", "--stance"):  # the last is of another robot
+    for name in ("-o", "--stance"):  # the stance belongs to another robot
         if name in line:
             del line[line.index(name) : line.index(name) + 2]
     return line
 
 
 def all_outputs(command: Command) -> list[str]:
-    """Returns the options of a command's outputs, each in a new folder."""
+    """Return the options of all outputs of a command, each output in a new folder."""
     model = "new.xml" if command.name == "convert" else "result"
     return [
         word
@@ -340,7 +346,7 @@ def all_outputs(command: Command) -> list[str]:
 def test_folder_without_write_permission_is_refused_before_the_work(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # By a stand-in: who runs the tests may be root, who may do everything.
+    # `os.access` is replaced, because the tests may run as root, with all permissions.
     monkeypatch.setattr(os, "access", lambda path, how: not how & os.W_OK)
     words, before, outputs = tiny(command), sums(folder), all_outputs(command)
     needed = [word for at, word in enumerate(outputs) if "-o" in (word, outputs[at - 1])]

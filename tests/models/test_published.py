@@ -136,7 +136,7 @@ def test_error_about_a_name_proposes_similar_published_names(
 def test_file_of_ros_package_is_found(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without ROS: by option, in folders above, and in the paths that ROS sets."""
+    """ROS is not installed. The package is found by option, in parent folders, and in ROS paths."""
     top = {"ament": tmp_path / "install" / "share"}.get(place, tmp_path / "src")
     file = top / "rex" / "urdf" / "rex.urdf"
     file.parent.mkdir(parents=True)
@@ -230,7 +230,7 @@ def test_error_names_the_package_if_it_is_missing(monkeypatch: pytest.MonkeyPatc
 def test_error_names_the_cause_if_the_import_of_descriptions_fails(
     file: str, text: str, cause: str, descriptions: Path
 ) -> None:
-    """The package is installed: to install it again would not help without its cause."""
+    """The package is installed, so the error states the cause instead of ``pip install``."""
     package = descriptions.parent / "site" / "robot_descriptions"
     (package / f"{file}.py").write_text(text)
     with pytest.raises(ModelError, match=cause) as caught:

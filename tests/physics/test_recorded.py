@@ -10,7 +10,15 @@ import numpy as np
 import orjson
 import pytest
 
-from tests.recorded import COARSE, ENGINES, FILE, JOBS, compute_numbers, products, setting
+from tests.recorded import (
+    ENGINES,
+    FIELD_RTOL,
+    JOBS,
+    RECORD_FILE,
+    compute_numbers,
+    compute_products,
+    read_setting,
+)
 from tests.support.repository import ROOT
 from tests.support.variants import NAMES
 
@@ -20,12 +28,12 @@ SLOW_JOBS = [name for name, job in JOBS.items() if job.slow]
 
 @cache
 def read_recorded() -> dict[str, Any]:
-    content: dict[str, Any] = orjson.loads(FILE.read_bytes())
+    content: dict[str, Any] = orjson.loads(RECORD_FILE.read_bytes())
     return content
 
 
 def list_tolerances(where: str) -> list[float]:
-    return [0.0, *(limit for field, limit in COARSE.items() if where.endswith(field))]
+    return [0.0, *(limit for field, limit in FIELD_RTOL.items() if where.endswith(field))]
 
 
 def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -> list[str]:
@@ -64,13 +72,13 @@ def test_products_of_an_array_depend_on_each_element() -> None:
             changed = values.copy()
             changed[first] += 1e-9
             changed[second] -= 1e-9
-            after, before = ({"qpos": products(array)} for array in (changed, values))
+            after, before = ({"qpos": compute_products(array)} for array in (changed, values))
             assert changes(after, before, 1e-12), (first, second)
 
 
 def check(name: str, job: str) -> None:
     """Compare the numbers of a job with the recorded numbers."""
-    wanted, now = JOBS[job], setting()
+    wanted, now = JOBS[job], read_setting()
     then = read_recorded()["setting"]
     if wanted.same_engines and now != then:
         other = ", ".join(

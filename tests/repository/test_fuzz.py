@@ -15,14 +15,14 @@ SEEDS = sorted((Path(fuzz.__file__).parent / "fuzz_seeds").glob("*.json"))
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
 def test_seeds_that_once_failed_pass(path: Path) -> None:
-    assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []
+    assert fuzz.run_case(fuzz.Case.from_json(path.read_text())) == []
 
 
 @pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
 def test_randomly_damaged_files_have_no_defect(case: fuzz.Case) -> None:
-    assert fuzz.found_in(case) == []
+    assert fuzz.run_case(case) == []
 
 
 def test_case_is_restored_from_json() -> None:

@@ -47,7 +47,7 @@ def test_kinematics_equal_those_of_a_configuration(name: str, fixed: bool) -> No
 
 
 def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
-    """By hand: ground clearance and self-clearance, each minus the required value."""
+    """By hand: distances to the ground and between links, minus the required clearances."""
     stand = stand_of("v3")
     ground = stand.ground_clearance
     assert ground is not None

@@ -1,12 +1,11 @@
-"""Run the shell and Python blocks of documentation pages and of ``--help``, and compare their
-output.
+"""Run the shell and Python blocks of documentation pages and of ``--help``, and compare the output.
 
-A block that cannot run is marked in its page with a reason: ``<!-- not run: REASON -->`` on the
-line above it; ``<!-- not run 'WORDS': REASON -->`` excludes only the lines with these words. A
-block of a Chinese page that equals one of the English page, with the same output, runs once. A
-command whose line ends with ``# exits 1`` must exit with 1. The text block below a block is its
-output: each of its lines is a whole printed line, where ``...`` is any text. ``own_files.py``
-writes the files that the reader would have.
+A block that cannot run is marked in the page: ``<!-- not run: REASON -->`` on the line above the
+block. ``<!-- not run 'WORDS': REASON -->`` excludes only the lines with these words. A block of a
+Chinese page is skipped if the English page contains the block with the same output. A command must
+exit with 1 if the line ends with ``# exits 1``. The text block below a block contains the output:
+each line must equal a printed line, with any text for ``...``. ``own_files.py`` writes the files of
+the reader.
 """
 
 from __future__ import annotations
@@ -65,12 +64,12 @@ class Block:
 
     Attributes:
         page: Path of the page from the repository's root; ``NAME --help`` for a command's help.
-        line: Line of its fence.
+        line: Line of the opening fence.
         language: ``sh`` or ``python``.
         text: Content.
         marks: {words of the lines that are not run (empty: all): reason}.
         exits: {words of the lines with an exit status other than 0: status}.
-        output: Text blocks below it, in order.
+        output: Text blocks below this block, in order.
     """
 
     page: str
@@ -82,7 +81,7 @@ class Block:
     output: list[str] = field(default_factory=list)
 
     def reason(self, line: str = "") -> str:
-        """Return why a line of this block is not run; empty if it is run."""
+        """Return the reason why a line of this block is not run; empty if the line is run."""
         return next((why for words, why in (NEVER | self.marks).items() if words in line), "")
 
     def lines(self) -> Iterator[tuple[str, int]]:
@@ -118,7 +117,7 @@ def find_english_page(page: Path) -> Path:
 def blocks_of(page: Path) -> list[Block]:
     """Return the blocks of a page with their marks and outputs.
 
-    Of a Chinese page those are left out that the English page has with the same output.
+    Blocks of a Chinese page are omitted if the English page has the block with the same output.
     """
     found: list[Block] = []
     marks: dict[str, str] = {}
@@ -152,9 +151,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def blocks_of_help(command: str) -> list[Block]:
-    """Return one block with the examples of ``pupper-analysis COMMAND --help`` that no page
-    contains.
-    """
+    """Return a block with the examples in the ``--help`` of a command that no page contains."""
     message = cli.find_command(command).help or ""
     elsewhere = {line for page in pages() for block in blocks_of(page) for line, _ in block.lines()}
     lines = [
@@ -168,13 +165,11 @@ def blocks_of_help(command: str) -> list[Block]:
 
 
 def provide_files(folder: Path, block: Block) -> None:
-    """Put the files that a block names into a folder: links to the checkout, and the reader's
-    files.
-    """
+    """Put the files of a block into a folder: links to the checkout, and files of the reader."""
     if "analysis check" in block.text and "examples/" not in block.text:
         own_files.write_models(folder, block.text)
     else:
-        # The URDF names its meshes from its own folder, beside that of the MJCF.
+        # The mesh paths of the URDF are relative to its folder, which is beside that of the MJCF.
         places = {name: folder / name for name in ("urdf", "mjcf", "examples", "scripts")}
         places |= {"mjcf/": folder.parent / "mjcf", "mjcf/meshes": folder / "meshes"}
         for name, place in places.items():
@@ -216,10 +211,12 @@ SHORTER_SEARCHES = {
     r"map_response\(robot, policy\)": "map_response(robot, policy, seconds=3)",
     r"rank_orders\(robot, policy\)": f"rank_orders(robot, policy, commands=[({SPEED})], seconds=3)",
 }
-"""Shorter runs, and fewer initial states or directions, of searches over a walk or a push; a
-shorter search of the best stance, since the page of ``best`` runs its longest search; and two
-variants, one of which fails, in place of all six: tests/cli/test_cli.py runs all six.
-{pattern: replacement}. The pages state no numbers of these commands; the numbers are asserted by
+"""{pattern of a command or function call: faster replacement}.
+
+The replacements shorten runs, and reduce initial states or directions of searches over a walk or a
+push. The page of ``best`` runs the longest search of the best stance, so other pages run a shorter
+search. Two variants, one of which fails, replace all six, which tests/cli/test_cli.py runs. The
+pages state no numbers of these commands. The numbers are asserted by
 tests/tools/walk/test_changes.py, tests/tools/walk/test_response.py and
 tests/tools/push/test_recovery.py."""
 

@@ -19,15 +19,14 @@ from lxml import etree
 
 import pupper_analysis as pa
 
-FELT = 1e-4
-"""Largest difference between two rollouts in a position [m] or angle [rad] that counts as
-harmless."""
+MAX_HARMLESS_DIFFERENCE = 1e-4
+"""Largest harmless difference of a position [m] or angle [rad] between two rollouts."""
 
-BAND = 1.5
-"""Factor around ``FELT`` within which either answer is accepted: impacts amplify small
-differences."""
+TOLERANCE_FACTOR = 1.5
+"""Factor around ``MAX_HARMLESS_DIFFERENCE`` within which either answer is accepted, because impacts
+amplify small differences. Chosen, not tuned."""
 
-SECONDS = 2.0
+ROLLOUT_DURATION = 2.0
 """Duration of a rollout [s]."""
 
 Element = etree._Element
@@ -59,12 +58,15 @@ class Answer(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Return True if ``diff`` reports the edit with its line if and only if the edit changes a
-        rollout.
+        """Whether the answer of ``diff`` is right, by the rollouts of bare MuJoCo.
+
+        ``diff`` must report an edit that changes a rollout, with its line, and no change of the
+        simulation otherwise. Both answers are right if ``truth`` is within a factor of
+        `TOLERANCE_FACTOR` from `MAX_HARMLESS_DIFFERENCE`.
         """
-        if self.truth > FELT * BAND:
+        if self.truth > MAX_HARMLESS_DIFFERENCE * TOLERANCE_FACTOR:
             return self.felt and self.placed
-        return self.truth >= FELT / BAND or not self.felt
+        return self.truth >= MAX_HARMLESS_DIFFERENCE / TOLERANCE_FACTOR or not self.felt
 
 
 def _draw_numbers(random: np.random.Generator, *spans: tuple[float, float]) -> str:
@@ -178,17 +180,16 @@ def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
 def edit_structure(
     tree: etree._ElementTree, random: np.random.Generator, folder: Path
 ) -> tuple[etree._ElementTree, Edit]:
-    """Make one random edit of the structure: defaults, compiler, keyframes, included or attached
-    parts.
+    """Make one random edit of the structure, for example of defaults, compiler or included parts.
 
     Args:
-        tree: MJCF; for an edit of an included, attached or repeated part, the part is added to
-            it.
+        tree: MJCF. For an edit of an included, attached or repeated part, this part is added to
+            the MJCF.
         random: Random generator.
         folder: Folder of the MJCF, to which parts are written.
 
     Returns:
-        Edited tree, and what was edited.
+        Edited tree; kind of the edit.
     """
     root = tree.getroot()
     kind = str(random.choice([*_STRUCTURE]))
@@ -234,7 +235,7 @@ def _is_number(text: str) -> bool:
 
 
 def _edit_default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
-    """Change a default class, or the class of an element; return what was changed."""
+    """Change a default class, or the class of an element; return a description of the change."""
     classes = [default for default in root.iter("default") if default.get("class")]
     using = [geom for geom in root.iter("geom", "joint", "motor", "position", "general")
              if geom.get("class") and not _in_default(geom)]  # fmt: skip
@@ -272,7 +273,7 @@ _COMPILER: dict[str, Value] = {
 
 
 def _edit_compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
-    """Set an attribute of ``compiler``; return it with its value."""
+    """Set a random attribute of ``compiler``; return the attribute with its value."""
     found = root.find("compiler")
     compiler = etree.SubElement(root, "compiler") if found is None else found
     word = str(random.choice(list(_COMPILER)))
@@ -281,7 +282,7 @@ def _edit_compiler(root: Element, random: np.random.Generator, _: Path, __: str)
 
 
 def _add_size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
-    """Add a ``size`` element with one attribute; return it with its value."""
+    """Add a ``size`` element with one attribute; return the attribute with its value."""
     size = etree.SubElement(root, "size")
     word = str(random.choice(["njmax", "nconmax", "memory", "nuserdata", "nkey", "nuser_geom"]))
     choices = {"memory": ("64K", "16M"), "njmax": ("20", "2000"), "nconmax": ("4", "400")}
@@ -290,7 +291,7 @@ def _add_size(root: Element, random: np.random.Generator, _: Path, __: str) -> s
 
 
 def _edit_keyframe(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
-    """Make a mistake in the first keyframe, such as a reordered quaternion; return its name."""
+    """Make a mistake in the first keyframe, such as a reordered quaternion; return the kind."""
     keys = list(root.iter("key"))
     if not keys:
         return "nothing"
@@ -320,8 +321,8 @@ def _edit_keyframe(root: Element, random: np.random.Generator, _: Path, __: str)
 
 
 def _move_to_include(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
-    """Move a section into an included file; in an edited part change one number of it."""
-    one_key = len(list(root.iter("key"))) == 1  # rollouts begin with the first
+    """Move a random section into an included file; change one of its numbers in an edited part."""
+    one_key = len(list(root.iter("key"))) == 1  # rollouts begin at the first keyframe
     tags = ("default", "actuator", "contact", "worldbody", *(["keyframe"] if one_key else []))
     sections = [
         section_element
@@ -338,7 +339,7 @@ def _move_to_include(root: Element, random: np.random.Generator, folder: Path, n
 
 
 def _attach_tool(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
-    """Attach a model of a tool to the first body; in an edited part change one number of it."""
+    """Attach a model of a tool to the first body; change one of its numbers in an edited part."""
     tool = etree.fromstring(
         '<mujoco><compiler angle="radian"/><worldbody><body name="tool" pos="0.05 0.01 0.08">'
         '<geom name="hand" type="box" size="0.03 0.02 0.05" mass="0.7" friction="0.8"/>'
@@ -357,13 +358,13 @@ def _attach_tool(root: Element, random: np.random.Generator, folder: Path, name:
     if name.startswith("edited") and not random.integers(4):
         attach.set("prefix", "at_")
         what += ", prefix"
-    for key in list(root.iter("keyframe")):  # of a robot without the tool
+    for key in list(root.iter("keyframe")):  # keyframes do not contain the joint of the tool
         root.remove(key)
     return what
 
 
 def _add_repeated_geoms(root: Element, random: np.random.Generator, _: Path, name: str) -> str:
-    """Add repeated geoms to the first body; in an edited part change their number or one value."""
+    """Add repeated geoms to the first body; change the count or a value in an edited part."""
     body = next(root.iter("body"))
     several = etree.SubElement(body, "replicate", count="3", offset="0.04 0 0.01")
     etree.SubElement(several, "geom", name="rack", size="0.01 0.02 0.03", type="box", mass="0.2",
@@ -385,17 +386,18 @@ _STRUCTURE: dict[str, Callable[[Element, np.random.Generator, Path, str], str]] 
     "attach": _attach_tool,
     "replicate": _add_repeated_geoms,
 }
-"""{kind of a structural edit: function that makes it}."""
+"""{kind of a structural edit: function that makes the edit}."""
 
 
 def _in_default(geom: Element) -> bool:
     return any(parent.tag == "default" for parent in geom.iterancestors())
 
 
-def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
-    """Return time and qpos at each step of a simulation by bare MuJoCo, shape (steps, 1 + nq).
+def rollout(path: Path, seconds: float = ROLLOUT_DURATION) -> np.ndarray:
+    """Return time [s] and qpos at each step of a simulation by bare MuJoCo, shape (n, 1 + nq).
 
-    The simulation begins at the first keyframe; time is counted from there.
+    The simulation begins at the first keyframe, if any, at time 0. The time decreases if MuJoCo
+    resets a diverged state, or has no memory for the contacts; the simulation may then end early.
     """
     model = _on_ground(path)
     data = mujoco.MjData(model)
@@ -405,17 +407,19 @@ def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
     for _ in range(round(seconds / model.opt.timestep)):
         try:
             mujoco.mj_step(model, data)
-        except mujoco.FatalError:  # no memory for its contacts
+        except mujoco.FatalError:  # no memory for the contacts
             data.time = begun - 1.0
         found.append([data.time - begun, *data.qpos])
-        if data.time < begun:  # MuJoCo began anew, or ended
+        if data.time < begun:  # MuJoCo has reset the state, or has no memory
             break
     return np.array(found)
 
 
 def measure_difference(one: np.ndarray, two: np.ndarray) -> float:
-    """Return the largest difference between two rollouts at equal times; infinite if one alone
-    diverges.
+    """Return the largest difference of qpos between two rollouts at equal times (m, rad mixed).
+
+    Infinite if only one rollout diverges, if nq differs, or if no times are equal. 0 if both
+    diverge.
     """
     if one.shape[1] != two.shape[1]:
         return float("inf")
@@ -426,7 +430,7 @@ def measure_difference(one: np.ndarray, two: np.ndarray) -> float:
     times = times[times <= min(one[-1, 0], two[-1, 0])]
     steps = max(one[0, 0], two[0, 0])
     at = []
-    for run in (one, two):  # of steps of other lengths, those at the same times
+    for run in (one, two):  # the time steps may differ: select the nearest steps
         near = np.abs(run[:, 0][:, None] - times[None, :]).argmin(axis=0)
         at.append(run[near])
     same = np.abs(at[0][:, 0] - at[1][:, 0]) < 1e-6 * steps
@@ -435,21 +439,22 @@ def measure_difference(one: np.ndarray, two: np.ndarray) -> float:
 
 
 def _on_ground(path: Path) -> mujoco.MjModel:
-    """Return the compiled model of an MJCF, with a plane if it has none.
+    """Compile an MJCF; add a plane if the file contains none.
 
-    The plane has no friction: MuJoCo uses the larger coefficient, that of the robot's geom.
+    The plane has no friction: MuJoCo uses the larger coefficient, which is that of the robot's
+    geom.
     """
     spec = mujoco.MjSpec.from_file(str(path))
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
         plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
-        usual = mujoco.MjSpec().default.geom  # a file's defaults are for its robot
+        usual = mujoco.MjSpec().default.geom  # the defaults of the file are for the robot
         for word in ("condim", "solref", "solimp", "margin", "gap", "solmix"):
             setattr(plane, word, getattr(usual, word))
         plane.friction = (0, 0, 0)
         plane.contype = plane.conaffinity = 1
         plane.priority = 0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # attributes that a later MuJoCo drops
+        warnings.simplefilter("ignore")  # deprecated attributes
         return spec.compile()
 
 
@@ -489,7 +494,7 @@ def compute_answers(
         try:
             before = rollout(original) if structure else before
             truth = measure_difference(before, rollout(edited))
-        except ValueError:  # MuJoCo refuses it
+        except ValueError:  # MuJoCo refuses the edited file
             continue
         diff = pa.diff_models(original, edited)
         messages = [change for change in diff.changes if change.effects]
@@ -503,7 +508,7 @@ def compute_answers(
 
 
 def _find_line(tree: etree._ElementTree, element: Element, written: Path) -> int:
-    """Return the line of an element in the file to which its tree was written."""
+    """Return the line of an element in the file ``written``, which contains the element's tree."""
     (there,) = etree.parse(written).xpath(tree.getpath(element))
     return int(there.sourceline)
 

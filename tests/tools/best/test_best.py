@@ -248,6 +248,7 @@ def test_best_stance_keeps_the_fixed_part_of_the_task() -> None:
 
 
 def test_best_stance_refuses_wrong_requests() -> None:
+    """Invalid arguments, an unreachable task, and servos too soft for an equilibrium."""
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match="objective"):
         best_stance(robot, "speed")

@@ -1,6 +1,4 @@
-"""Sources of any robot in eight formats, with one number per line, and mistakes that a seed plants
-into them.
-"""
+"""Write sources of a robot in eight formats, with one number per line and a random mistake."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from tests.support import legged
 from tests.tools.contract.sources import ANGLES, JOINTS, URDF, onnx
 
 Lines = dict[tuple[str, str], int]
-"""{(quantity, joint): the line of its number}; of ``order`` with no joint."""
+"""{(quantity, joint): line of the number}; the joint of ``order`` is empty."""
 
 LISTS = {"default angle": "default_joint_pos", "kp": "kps", "kd": "kds",
          "action scale": "action_scale", "effort": "torque_limits",
@@ -29,8 +27,8 @@ class Robot:
     """Numbers of a robot that sources state.
 
     Attributes:
-        urdf: Its model.
-        order: Its joints, in the order of every list.
+        urdf: URDF of the robot.
+        order: Names of the joints, in the order of all lists.
         numbers: {quantity: {joint: number}}.
     """
 
@@ -39,13 +37,13 @@ class Robot:
     numbers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def with_numbers(self, quantity: str, **changed: float) -> Robot:
-        """Returns the robot with other numbers of some joints."""
+        """Return the robot with other numbers of some joints."""
         mine = {**self.numbers[quantity], **changed}
         return replace(self, numbers={**self.numbers, quantity: mine})
 
 
 def robot_of(name: str, folder: Path) -> Robot:
-    """Returns Pupper v3, or a quadruped of 8.4 kg with other names, axes and gains."""
+    """Return Pupper v3, or a quadruped of 8.4 kg with other names, axes and gains."""
     if name == "v3":
         urdf, order, angles, gains, scale = URDF, JOINTS, ANGLES, (5.0, 0.25), 0.75
     else:
@@ -210,7 +208,7 @@ def _write_gym(robot: Robot, path: Path) -> Lines:
         text.table(robot, quantity, "            '{joint}': {number},")
         text.add("        }")
     scales = robot.numbers["action scale"]
-    # One for all, as legged_gym has it: that of the joint that is unlike the others, if one is.
+    # legged_gym has one scale for all joints: the rarest scale, which is a planted mistake if any.
     odd = min(scales, key=lambda joint: list(scales.values()).count(scales[joint]))
     text.add(f"        action_scale = {scales[odd]}", "action scale", "")
     text.lines |= {("action scale", joint): len(text.rows) for joint in robot.order}
@@ -276,29 +274,32 @@ KINDS: dict[str, tuple[str, Callable[[Robot, Path], Lines]]] = {
 }
 """{kind of source: (file name, function that writes it)}."""
 
-BESIDE = {"mjlab": "deploy", "legged_gym": "ros2", "deploy": "legged_gym", "ros2": "ONNX",
+COMPARED_KINDS = {"mjlab": "deploy", "legged_gym": "ros2", "deploy": "legged_gym", "ros2": "ONNX",
           "RTNeural": "mjlab", "ONNX": "ros2", "Isaac Lab's env.yaml": "deploy",
           "mjlab's env.yaml": "deploy"}  # fmt: skip
-"""{kind of source: kind of the source that it is compared with}."""
+"""{kind of source: kind of the second source of the comparison}."""
 
 SLIPS = ("order", "sign", "scale", "default", "kp", "limit", "unit")
 LIMITS = {"mjlab": "effort", "deploy": "effort", "ros2": "lower limit", "RTNeural": "upper limit",
           "Isaac Lab's env.yaml": "effort", "mjlab's env.yaml": "effort"}  # fmt: skip
-LIMITED_TWICE = [kind for kind, beside in BESIDE.items()
+TWICE_LIMITED_KINDS = [kind for kind, beside in COMPARED_KINDS.items()
                  if beside == "deploy" and LIMITS.get(kind) == "effort"]  # fmt: skip
-"""Kinds whose torque limits are compared with the deployment's and with the URDF's."""
+"""Kinds of sources whose torque limits are compared with a deployment and with the URDF."""
 CASES = [(robot, kind, slip) for robot in ("v3", "quadruped") for kind in KINDS for slip in SLIPS
          if slip != "limit" or kind in LIMITS]  # fmt: skip
 
 
 def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, str]:
-    """Return a robot with a planted mistake, its quantity, and a joint whose number is changed."""
+    """Plant a mistake; return the changed robot, the quantity, and a joint with a changed number.
+
+    The joint is empty if the names of two legs are exchanged.
+    """
     at = np.random.default_rng(seed)
     angles = robot.numbers["default angle"]
     joint = str(at.choice(robot.order))
     bent = str(at.choice([joint for joint in robot.order if angles[joint]]))
     leg = 3 * int(at.integers(4))
-    if slip == "order" and kind in ("ros2", "ONNX"):  # the names alone, of two legs
+    if slip == "order" and kind in ("ros2", "ONNX"):  # exchange the names of two legs
         other = (leg + 3 * int(at.integers(1, 4))) % 12
         names = list(robot.order)
         names[leg : leg + 3], names[other : other + 3] = (
@@ -328,13 +329,13 @@ def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, st
 
 
 def write(robot: Robot, kind: str, folder: Path) -> tuple[Path, Lines]:
-    """Writes a source."""
+    """Write a source; return its path and the lines of its numbers."""
     name, writer = KINDS[kind]
     return folder / name, writer(robot, folder / name)
 
 
 def place_of(path: Path, lines: Lines, quantity: str, joint: str) -> str:
-    """Return the place of a number: its line, or the key of a policy's metadata."""
+    """Return the place of a number: file and line, or file and key of a policy's metadata."""
     if path.suffix == ".onnx":
         return f"{path}:<{_METADATA.get(quantity, 'joint_names')}>"
     return f"{path}:{lines[quantity, joint]}"

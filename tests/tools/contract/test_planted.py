@@ -12,10 +12,10 @@ import pytest
 
 from pupper_analysis.tools.contract import read_contract
 from tests.tools.contract.planted import (
-    BESIDE,
     CASES,
+    COMPARED_KINDS,
     KINDS,
-    LIMITED_TWICE,
+    TWICE_LIMITED_KINDS,
     limit_line,
     place_of,
     plant,
@@ -37,7 +37,7 @@ def test_planted_mistake_is_found_with_both_lines(
     seed = CASES.index((name, kind, slip))
     slipped, quantity, joint = plant(robot, kind, slip, seed)
     path, lines = write(slipped, kind, tmp_path)
-    other, its_lines = write(robot, BESIDE[kind], tmp_path)
+    other, its_lines = write(robot, COMPARED_KINDS[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
     messages = [
         (finding.kind, finding.probable_mistake, finding.places, finding.message)
@@ -50,14 +50,14 @@ def test_planted_mistake_is_found_with_both_lines(
         and finding.probable_mistake != "mirror"
         and (joint in finding.joints or not joint)
     ]
-    if slip == "limit" and kind in LIMITED_TWICE:  # the deployment's is the URDF's
+    if slip == "limit" and kind in TWICE_LIMITED_KINDS:  # the deployment's is the URDF's
         assert {hit.sources[1] for hit in hits} == {robot.urdf.name, other.name}
         hits = [hit for hit in hits if hit.sources[1] == other.name]
     assert len(hits) == 1, messages
     assert hits[0].probable_mistake == LOOKS.get(slip, "")
     first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding
     places = {place_of(path, lines, quantity, first)}
-    if slip == "limit" and kind not in LIMITED_TWICE:
+    if slip == "limit" and kind not in TWICE_LIMITED_KINDS:
         places.add(f"{robot.urdf}:{limit_line(robot.urdf, first)}")
     else:
         places.add(place_of(other, its_lines, quantity, first))
@@ -102,7 +102,7 @@ def test_harmless_edit_gives_no_finding(tmp_path: Path, name: str, sound: str) -
     path, _ = write(robot, kind, tmp_path)
     if path.suffix != ".onnx":
         path.write_bytes(change(path.read_text()).encode())
-    other, _ = write(robot, BESIDE[kind], tmp_path)
+    other, _ = write(robot, COMPARED_KINDS[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
     assert [finding.message for finding in found.findings] == []
     for source in {fact.source for fact in found.facts}:

@@ -581,7 +581,7 @@ def test_limit_below_the_ambient_temperature_of_the_motor_is_refused() -> None:
 
 
 def test_duration_of_the_battery_is_in_the_second_line_if_a_battery_is_given() -> None:
-    """Reference: energy / loss. The duration was only printed with -v."""
+    """Reference: energy / loss."""
     motor = find_motor("mit-mini-cheetah")
     study = study_heat(
         load("v3"), stand_of("v3"), motors_of(motor), limit=80.0, battery_energy=74 * 3600.0

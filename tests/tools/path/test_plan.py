@@ -333,6 +333,7 @@ def test_sole_on_a_short_leg_that_cannot_stay_in_place_is_named(tmp_path: Path) 
 
 
 def test_refusals_name_the_moment() -> None:
+    """An error in a sample states time and stances; other errors state the stance or argument."""
     robot = load("v3")
     with pytest.raises(
         pa.StaticsInfeasibleError, match=r"at 0\.00 s, between stances 1 and 2: .*insert"

@@ -1,6 +1,7 @@
-"""Random numbers of one file are changed, and `sync` restores them from the other file and changes
-no other number. The test changes the files by regular expressions, which share no code with the
-package.
+"""Change random numbers of a file, and restore the numbers from the other file by `sync`.
+
+`sync` must change no other number. The test edits the files by regular expressions, which share no
+code with the package.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ MODELS = [*pa.VARIANTS, "quadruped"]
 MUTATION_COUNT = 30
 """Number of undone mutations per model."""
 LAYOUTS = ("original", "v3", "long-leg", "quadruped")
-"""Published files of both bases, one derived variant, and a pair without includes. All derived
-variants are written by the same function, so ``long-leg`` represents them."""
+"""Published files of both bases, one derived variant, and a pair without includes. The same
+function writes all derived variants, so ``long-leg`` is an example of these."""
 
 
 class Pair(NamedTuple):
@@ -36,16 +37,14 @@ class Pair(NamedTuple):
     mjcf: Path
 
     def texts(self) -> dict[Path, str]:
-        """The URDF, and the MJCF with all that it includes."""
+        """Return {file: text} of the URDF, the MJCF and the included files."""
         files = [self.urdf, *sorted(self.mjcf.parent.glob("*.xml"))]
         return {file: file.read_bytes().decode() for file in files}
 
 
 @cache
 def write_model(name: str, folder: Path) -> Pair:
-    """Write the files of a model: the published ones, with includes, for a model that is not
-    derived.
-    """
+    """Write the files of a model; copy the published files, with includes, if not derived."""
     (folder / "urdf").mkdir(parents=True)
     (folder / "mjcf").mkdir()
     if name == "quadruped":
@@ -151,7 +150,10 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
 
 
 def role(text: str, start: int, tag: str) -> str:
-    """Return the kind of a tag; of an origin, its parent, and whether the joint is fixed."""
+    """Return the kind of an element; the kind of an origin contains the kind of its parent.
+
+    The origin of a joint is a ``fixed origin`` or a ``moving origin``.
+    """
     if tag != "origin":
         return {"general": "motor"}.get(tag, tag)
     before = text[:start]
@@ -167,8 +169,9 @@ def is_free(found: dict[str, str], tag: str) -> bool:
 
 
 def mutate_attribute(pair: Pair, choose: random.Random) -> Mutated | None:
-    """Return a file in which one attribute is changed or added; None if it has no such
-    attribute.
+    """Change or add a random attribute in a file; return None if the change is impossible.
+
+    For example, no element of the file has the drawn attribute, or all numbers are 0.
     """
     texts = pair.texts()
     file = choose.choice(list(texts) if choose.random() < 0.6 else [pair.urdf])
@@ -211,8 +214,10 @@ def changed_attributes(before: str, after: str) -> int:
 
 
 def restore_by_sync(pair: Pair, seed: int) -> str | None:
-    """Make a mutation and restore it by `sync`; return its description, or None if the mutation has
-    no effect.
+    """Mutate a file, restore the file by `sync`, and return file suffix and restored attribute.
+
+    None if there is no mutation, if MuJoCo refuses the mutated file, or if `sync` finds no
+    difference.
     """
     choose = random.Random(seed)
     mutation = mutate_attribute(pair, choose)
@@ -224,13 +229,13 @@ def restore_by_sync(pair: Pair, seed: int) -> str | None:
         try:
             mujoco.MjModel.from_xml_path(str(pair.mjcf))
         except ValueError:
-            return None  # no body can be so
+            return None  # MuJoCo refuses the value
         side = "mjcf" if mutation.file == pair.urdf else "urdf"
         sync = pa.sync_models(pair.urdf, pair.mjcf, take=side)
         after = pair.texts()
         if not sync.differences:
             assert after[mutation.file] == mutation.text
-            return None  # nobody would notice, as a turn of a sphere
+            return None  # without effect, for example a rotation of a sphere
         description = f"{seed}: {mutation.file.name}: {sync.to_json()}"
         assert sync.agree, description
         assert not sync.not_mended
@@ -257,9 +262,9 @@ def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
 def test_many_mutations_are_undone(model: str, folder: Path) -> None:
     pair = write_model(model, folder / model)
     done: list[str] = []
-    seed = 1000 * MODELS.index(model)  # not the same choices for all
+    seed = 1000 * MODELS.index(model)  # different choices for each model
     while len(done) < MUTATION_COUNT:
         seed += 1
         found = restore_by_sync(pair, seed)
         done += [found] if found is not None else []
-    assert len(set(done)) >= 8  # of several kinds, in both files
+    assert len(set(done)) >= 8  # several kinds of attributes, in both files
