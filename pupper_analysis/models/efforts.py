@@ -518,9 +518,9 @@ def placeholder_efforts(
     """Yield the torque limits of hinges that are probably placeholders.
 
     A round effort (`is_placeholder_number`) is compared with the mass of the joint's two links
-    (`MAX_TORQUE_PER_LINK_MASS`) and with the smaller efforts (`MIN_OUTLIER_RATIO`), each effort
-    with the armature (`MAX_ROTOR_ACCELERATION`), and the sum of the other efforts with the mass of
-    the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
+    (`MAX_TORQUE_PER_LINK_MASS`) and with the smaller efforts (`MIN_OUTLIER_RATIO`). Each effort is
+    compared with the armature (`MAX_ROTOR_ACCELERATION`). The sum of the other efforts is compared
+    with the mass of the robot (`MAX_TORQUE_PER_ROBOT_MASS`).
 
     Args:
         motors: Hinges with their torque limits.

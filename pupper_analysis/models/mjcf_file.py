@@ -715,8 +715,9 @@ class MjcfFile:
 
         Returns:
             The location. If no attribute is set, the location of the geom. If the elements of the
-            file cannot be assigned to the geoms of the model, the location of the body (of the
-            file, for the world); for example if an attached model adds geoms to the body.
+            file cannot be assigned to the geoms of the model, the result is the location of the
+            body (of the file, for the world). An example is an attached model that adds geoms to
+            the body.
         """
         nodes = self._list_geom_nodes(body)
         if len(nodes) != count:

@@ -125,7 +125,7 @@ _HULLS: WeakValueDictionary[bytes, Mesh] = WeakValueDictionary()
 def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
     """Return the spatial inertia of a convex hull with a density of 1 kg/m^3; None without volume.
 
-    For a tetrahedron of volume V with edges e_i from the origin, the integral of x x^T is V/20
+    A tetrahedron has the volume V and the edges e_i from the origin. Its integral of x x^T is V/20
     (sum_i e_i e_i^T + s s^T), with s = sum_i e_i.
     """
     middle = hull.vertices.mean(axis=0)

@@ -132,9 +132,9 @@ def find_unlike_pairs(
     """Return the left-right pairs of joints whose values of one parameter differ unexpectedly.
 
     Pairs that differ by a factor of at least ``_MIN_REPORTED_RATIO`` are returned. Other unequal
-    pairs are returned if at least ``_MIN_EQUAL_PAIRS_PER_UNEQUAL`` times as many pairs are equal,
-    or if the unequal pairs have no more distinct values than pairs: the motors of a type then have
-    a single set of values.
+    pairs are returned if at least ``_MIN_EQUAL_PAIRS_PER_UNEQUAL`` times as many pairs are equal.
+    They are also returned if the unequal pairs have no more distinct values than pairs: the motors
+    of a type then have a single set of values.
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.

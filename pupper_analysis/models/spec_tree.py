@@ -276,8 +276,8 @@ class SpecTree:
         """Add a plane with MuJoCo's default contact parameters as floor (`add_plane`).
 
         The contact bits permit collisions with each geom whose ``contype`` is not 0. The friction
-        of the plane is at most the friction of each geom, because MuJoCo uses the larger
-        coefficient of two geoms with equal priority: the friction of a foot has an effect.
+        of the plane is at most the friction of each geom. MuJoCo uses the larger coefficient of two
+        geoms with equal priority, so the friction of a foot has an effect.
 
         Args:
             beneath: Height z [m] of a new body to which the plane is added; existing bodies keep

@@ -143,8 +143,8 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Compute the sphere that approximates an ellipsoid at its lowest point.
 
     The sphere touches the ellipsoid at this point. The radius is the mean of the two principal
-    radii of curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in
-    the diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex
+    radii of curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3. The diagonal matrix S
+    contains the half axes, d is the direction ``down``, and h = |S d|. Source: Schneider, "Convex
     Bodies", 2014.
 
     Args:

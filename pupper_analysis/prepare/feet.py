@@ -53,8 +53,8 @@ such as a spider's, which end near the height of the base. Chosen, not tuned.
 """
 
 _MAX_SPHERE_DISTANCE = 0.02
-"""Upper bound of the distance [m] between a foot frame that the user names and the centre of a
-sphere geom, with which `_select_sphere` selects the nearest sphere as contact shape of the foot.
+"""Upper bound of the distance [m] between a foot frame of the user and the centre of a sphere geom.
+Within this distance, `_select_sphere` selects the nearest sphere as contact shape of the foot.
 Chosen, not tuned."""
 
 

@@ -2,8 +2,8 @@
 
 Inputs are the statics, and the results of two simulations of the prepared robot: with feed-forward
 torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on
-simulations of the published file (the user's MJCF or URDF): from a keyframe or the start pose, and
-from the predicted equilibrium of the stand, with which the result is compared.
+simulations of the published file (the user's MJCF or URDF). They start at a keyframe or the start
+pose, and at the predicted equilibrium of the stand, with which the result is compared.
 """
 
 from __future__ import annotations

@@ -84,8 +84,8 @@ def list_overloaded_joints(
     The limit of a passive joint is zero.
 
     If only tendons drive some joints, the forces F of the actuators at the tendons are the
-    least-squares solution of tau = M F, with the static torques tau of these joints, and the levers
-    M at ``positions``. The motors of other joints exert tau - M F.
+    least-squares solution of tau = M F. tau are the static torques of these joints, and M are the
+    levers at ``positions``. The motors of other joints exert tau - M F.
 
     Args:
         robot: Robot.

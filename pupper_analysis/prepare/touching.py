@@ -1,8 +1,8 @@
 """Disable the contacts that the statics do not assume: a robot stands only on its feet.
 
 Input is a robot with a start pose. Two kinds of contacts are disabled: contacts of shapes near the
-ground that are on a foot's body but are not foot geoms, and contacts between bodies that overlap in
-the start pose.
+ground that belong to a foot's body without being foot geoms, and contacts between bodies that
+overlap in the start pose.
 """
 
 from __future__ import annotations

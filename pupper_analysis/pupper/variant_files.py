@@ -1,8 +1,8 @@
 """Derive, write and load the files of a variant; parse the words that name a robot.
 
-Input is the name of a variant or a ``VariantSpec``; the URDF and MJCF are derived from the files of
-the base model in memory, and cached until the URDF or the main MJCF of the base model changes.
-`load_variant` returns the robot, `write_variant` writes both files.
+Input is the name of a variant or a ``VariantSpec``. The URDF and MJCF are derived in memory from
+the files of the base model. They are cached until the URDF or the main MJCF of the base model
+changes. `load_variant` returns the robot, `write_variant` writes both files.
 """
 
 from __future__ import annotations

@@ -179,9 +179,9 @@ gives 0.36. A knee servo of ANYmal C with a gear of -1 gives 0.54."""
 class OwnRun(BodyMotion):
     """Simulation of a published file from its keyframe, with small nudges (`simulate_keyframe`).
 
-    The tilt ``lean`` is relative to the upright start pose if it is smaller than that relative to
-    reset, or if the robot ends fallen: tilted by more than ``FALLEN_TILT`` (0.5 rad) and lying on
-    its trunk, or tilted by more than 90 deg.
+    The tilt ``lean`` is the smaller of the tilts relative to the upright start pose and relative to
+    reset. If the robot ends fallen, the tilt is relative to the upright start pose. Fallen: tilted
+    by more than ``FALLEN_TILT`` (0.5 rad) and lying on its trunk, or tilted by more than 90 deg.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,

@@ -41,9 +41,9 @@ is rejected. Under load, a static deflection is accepted in addition. Chosen, no
 
 _RANK_RTOL = 1e-7
 """Lower bound of a singular value of the constraint Jacobian, relative to the largest singular
-value, above which an equation or a joint counts as independent [1]; absolute bound for elements and
-determinants that count as nonzero. The redundant equation of a planar loop has a ratio of up to
-1e-9 in files with rounded numbers."""
+value, above which an equation or a joint counts as independent [1]. Also the absolute value above
+which elements and determinants count as nonzero. The redundant equation of a planar loop has a
+ratio of up to 1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""

@@ -159,8 +159,8 @@ class GroundLaw:
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
         penetration. The geometric mean of the bounds (half of the upper bound if the lower bound is
-        0) replaces a step that leaves the bounds, or that follows a step that did not halve the
-        residual. With ``near``, up to four Newton steps without bounds are tried first.
+        0) replaces some steps: a step that leaves the bounds, and a step after a step that did not
+        halve the residual. With ``near``, up to four Newton steps without bounds are tried first.
 
         The iteration ends if the relative step is at most 1e-9 (`_STEP_RTOL`), if the relative
         distance of the bounds is at most 4e-16 (`_DEPTH_RTOL`), or after 200 iterations.

@@ -199,8 +199,8 @@ class Bar:
         """Return a point (x, y, z) [m] above the axis of this bar, for a horizontal position [m].
 
         The point of the bar's axis nearest to (x, y) in the horizontal plane is displaced upward,
-        perpendicular to the axis, by 1 m times the cosine of the bar's inclination: by 0 for a
-        vertical bar.
+        perpendicular to the axis. The distance is 1 m times the cosine of the bar's inclination,
+        which is 0 for a vertical bar.
 
         Raises:
             ConfigurationError: If a coordinate exceeds `MAX_LENGTH`, as for a steep bar.

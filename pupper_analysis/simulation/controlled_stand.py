@@ -60,9 +60,9 @@ not tuned.
 """
 
 _DELAY_TOLERANCE = 1e-6
-"""Tolerance [1] up to which a difference counts as rounding: of a number of time steps (relative if
-above 1, for the delay) from a whole number, and of the imaginary part of an eigenvalue of the
-closed loop from 0. Chosen, not tuned.
+"""Tolerance [1] up to which a difference counts as rounding. The differences are those of a number
+of time steps from a whole number (relative if above 1, for the delay), and of the imaginary part of
+an eigenvalue of the closed loop from 0. Chosen, not tuned.
 """
 
 _TRANSIENT_RATIO = 0.1

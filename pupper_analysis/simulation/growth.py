@@ -76,9 +76,9 @@ grown or decayed. Chosen, not tuned.
 """
 
 _DECAYED_RATIO = 1e-2
-"""Ratio [1] of the deviation D to the bound of the initial deviation, or to the maximum of D in the
-first time window if smaller, below which the motion of a growth test has decayed. D is half the
-difference of the two simulations. Chosen, not tuned.
+"""Ratio [1] of the deviation D to a reference, below which the motion of a growth test has decayed.
+The reference is the smaller of the bound of the initial deviation and the maximum of D in the first
+time window. D is half the difference of the two simulations. Chosen, not tuned.
 """
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5

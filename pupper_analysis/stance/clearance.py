@@ -307,8 +307,9 @@ class ClearanceShapes:
     ) -> list[float]:
         """Compute the heights [m] of the shapes in ``parts`` above slope, steps and planes.
 
-        If a part, such as a calf, intersects the sphere of a foot, the penetration of this foot is
-        added to the height of the part: the part may be as deep in the ground as the foot.
+        If a part, such as a calf, intersects the sphere of a foot, the part may be as deep in the
+        ground as the foot. The penetration of this foot is therefore added to the height of the
+        part.
 
         Args:
             at: Kinematics of the configuration.

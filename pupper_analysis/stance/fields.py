@@ -1,8 +1,8 @@
 """Table of the fields (requirements) of a stand task: a `Field` per entry of ``fields.toml``.
 
-Several parts of the package are derived from this table: the checks and texts of `StandTask`, the
-command-line options, the sliders and exports of the live page, and the variables of a study. The
-module imports no engine, so that ``--help`` is fast.
+Several parts of the package depend on this table: the checks and texts of `StandTask`, command-line
+options, sliders and exports of the live page, and variables of a study. The module imports no
+engine, so that ``--help`` is fast.
 """
 
 from __future__ import annotations

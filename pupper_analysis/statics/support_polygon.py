@@ -348,9 +348,9 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
         contacts: Shape (k, 2) or (k, 3) [m]; at least three contact points or other corners that
             are not on a common line.
         count: Number of returned rows, not smaller than the number of sides; k by default.
-        from_first: If True, the first side begins at the first contact that is a corner; otherwise
-            at the corner with the smallest x, so that the order of rows may change with the
-            contacts.
+        from_first: If True, the first side begins at the first contact that is a corner. Otherwise
+            it begins at the corner with the smallest x, so that the order of rows may change with
+            the contacts.
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the

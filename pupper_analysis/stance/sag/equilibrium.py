@@ -801,9 +801,9 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return how far a solution contradicts a point's assumed state (touching or not).
 
-        A positive result is a contradiction: the pull of the ground [N] on a touching point, or the
-        penetration of another point plus the contact margin, minus the tolerance [m]. 0 for a
-        touching point of a sole, whose depth equation permits no pull.
+        A positive result is a contradiction. For a touching point, the result is the pull of the
+        ground [N]; for another point, the penetration plus the contact margin, minus the tolerance
+        [m]. 0 for a touching point of a sole, whose depth equation permits no pull.
         """
         if foot in self.anchors:
             return 0.0 if self._sole_compliance[foot] else -float(solution.forces[foot][2])

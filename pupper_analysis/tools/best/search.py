@@ -51,9 +51,9 @@ _FINALIST_COUNT = 6
 """Number of first descents, with the best results, that are continued. Chosen, not tuned."""
 
 _DESCENT_ITERATIONS = 25
-"""Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
-of the first descents, and of a descent from the best stance in which each foot moves independently.
-Chosen, not tuned."""
+"""Upper bound of the SLSQP iterations of two kinds of descents: from the `_FINALIST_COUNT` best
+results of the first descents, and from the best stance with feet that move independently. Chosen,
+not tuned."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """Upper bound of the SLSQP iterations of a descent in which each foot moves independently, from the
@@ -82,8 +82,8 @@ of the penetration is not reduced. Chosen, not tuned.
 
 _CONSTRAINT_PENALTY = 10.0
 """Weight of the sum of constraint violations in `StanceSearch.merit`, which adds the weighted sum
-to the scaled objective; also the amount by which a descent lowers all constraints of a stance that
-does not exist. Chosen, not tuned.
+to the scaled objective. A descent also lowers all constraints by this amount if no stance exists.
+Chosen, not tuned.
 """
 
 

@@ -71,10 +71,10 @@ margin; less if the initial stand is closer to a limit. The reserve covers the d
 and the extension of legs whose feet sink into soft ground. Chosen, not tuned."""
 
 EDGE_RESERVE_RATIO = 0.05
-"""Distance of the CoM from the edges of the support polygon that the search requires in addition to
-the task's CoM margin, relative to the distance that the initial stand has in addition. At an edge,
-the robot has no balance after its feet sink into soft ground, although a payload may be balanced.
-Chosen, not tuned."""
+"""Additional distance of the CoM from the edges of the support polygon that the search requires,
+relative to the additional distance of the initial stand. Additional means beyond the task's CoM
+margin. At an edge, the robot has no balance after its feet sink into soft ground, although a
+payload may be balanced. Chosen, not tuned."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
 """Largest amount [rad, m] by which a joint of an allowed stance may enter the reserve at its limits

@@ -37,9 +37,9 @@ from pupper_analysis.tools.contract.orders import (
 )
 
 _NUMBER_RTOL = 2e-6
-"""Relative difference up to which two numbers count as equal, except of the quantities in
-`_KIND_TOLERANCES`, or up to which a number counts as the negative of another: rounding to single
-precision, or to seven printed digits.
+"""Relative difference up to which two numbers count as equal, or a number as the negative of a
+second number. The difference may be rounding to single precision, or to seven printed digits. The
+quantities in `_KIND_TOLERANCES` have other tolerances.
 """
 
 _KIND_TOLERANCES = {

@@ -1,7 +1,7 @@
 """Assignment of the statements of a source to joints: by name, pattern, or index in a list.
 
-Inputs are a source (for example a trainer, a deployment or a driver) and the joints of the model;
-output is a `PlacedSource`: each number of the source with its joint, and the order of the policy's
+Inputs are a source (for example a trainer, a deployment or a driver) and the joints of the model.
+Output is a `PlacedSource`: each number of the source with its joint, and the order of the policy's
 arrays.
 """
 

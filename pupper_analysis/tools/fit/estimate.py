@@ -368,7 +368,7 @@ class _QuadraticCost:
         """Return the normal distribution with the parameters ``x`` as the mean.
 
         The covariance is the inverse of the posterior information, plus the outer product of
-        ``unrealised_step``, shape (n,), in units of the prior widths: a step that did not decrease
+        ``unrealised_step``. This step, shape (n,), in units of the prior widths, did not decrease
         the cost as predicted.
         """
         width = self.table.width

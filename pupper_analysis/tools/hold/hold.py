@@ -293,7 +293,8 @@ def servo_payload(
     G_0 and m G_1 are the derivatives of the static loads of robot and mass, and W is a basis of the
     joint velocities that loops and couplings permit. The limit is the smallest m at which this
     matrix is singular, or at which a command with feed-forward, q + tau(m) / kp, reaches the end of
-    its range; 0 if the servos do not hold the robot alone. Effort limits are ignored.
+    its range. The limit is 0 if the servos do not hold the robot without payload. Effort limits are
+    ignored.
 
     Args:
         robot: Robot with a fixed base.

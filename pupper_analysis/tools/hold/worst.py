@@ -48,8 +48,8 @@ _MAX_SWEEPS = 30
 torque. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
-"""Relative increase of the torque in a sweep over all joints [1] at or below which a search for the
-largest torque stops; also the relative range of sampled torques at or below which no maximum is
+"""Relative increase of the torque in a sweep over all joints [1], at or below which a search for
+the largest torque stops. At or below the same relative range of sampled torques, no maximum is
 searched between the samples. Chosen, not tuned.
 """
 

@@ -1,6 +1,6 @@
 """Page of a walking policy: sliders for the command, buttons for pushes.
 
-Each browser has a `WalkSession`, whose thread simulates the robot in real time with the velocity
+Each browser has a `WalkSession`. Its thread simulates the robot in real time with the velocity
 command of the sliders, draws the robot, and reports speeds and motor torques of the last second.
 After a fall the session waits for a restart.
 """

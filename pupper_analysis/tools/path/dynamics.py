@@ -70,10 +70,10 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Compute motor torques and contact forces of a motion.
 
-    Solves M qacc + h + r = J^T f + Jw^T m + S^T tau. M includes the armature; h contains Coriolis,
-    centrifugal and gravity forces, less the passive forces of the MJCF at zero velocity, such as
-    springs (``Configuration.passive_forces``); r is damping and dry friction of the joints
-    (``joint_resistance``); m are the moments with which the ground resists rolling feet
+    Solves M qacc + h + r = J^T f + Jw^T m + S^T tau. M includes the armature. h contains Coriolis,
+    centrifugal and gravity forces, minus the passive forces of the MJCF at zero velocity, such as
+    springs (``Configuration.passive_forces``). r is damping and dry friction of the joints
+    (``joint_resistance``). m are the moments with which the ground resists rolling feet
     (``rolling_levers``). The forces f solve the second-order cone program of
     ``gravity_compensation``, with M qacc + h + r in place of g. At rest both results are equal.
     Damping of tendons and fluid drag are not included.

@@ -1,8 +1,8 @@
 """Geometry of a path through stances: configurations and derivatives, without dynamics.
 
-`path_geometry` divides a list of stand tasks into segments. Each sample of a segment is a stand
-whose task is interpolated linearly in the path parameter s of the segment; s follows a minimum-jerk
-law in time. dq/ds and d2q/ds2 are computed from the constraints, not by differences.
+`path_geometry` divides a list of stand tasks into segments. Each sample of a segment is a stand.
+Its task is interpolated linearly in the path parameter s of the segment, and s follows a
+minimum-jerk law in time. dq/ds and d2q/ds2 are computed from the constraints, not by differences.
 """
 
 from __future__ import annotations

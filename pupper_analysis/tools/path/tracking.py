@@ -481,9 +481,9 @@ def track_path(
 
     The velocity term compensates the servo damping, which acts on the absolute joint velocity;
     without this term the joints lag by kd / kp (20 ms for v3). The joint positions q* contain an
-    extension of the legs by the penetration of the feet into MuJoCo's soft ground under the loads
-    of the motion, and tau is computed for the extended legs. Creep of rolling feet is not
-    compensated.
+    extension of the legs. The extension equals the penetration of the feet into MuJoCo's soft
+    ground under the loads of the motion. tau is computed for the extended legs. Creep of rolling
+    feet is not compensated.
 
     A path is tracked if all these conditions hold:
 

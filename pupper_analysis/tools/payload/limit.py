@@ -1,8 +1,8 @@
 """Largest payload of a stance, and the failure that limits the payload.
 
-`payload_limit` solves the loaded stance for increasing masses, bisects the mass at which the
-stance, the motors and the servos fail, verifies the smallest of these bounds by simulation, and
-returns the smallest bound with the cause. `simulate_payload` simulates a single mass.
+`payload_limit` solves the loaded stance for increasing masses, and bisects the masses at which the
+stance, the motors and the servos fail. The smallest of these bounds is verified by simulation. The
+result is the smallest bound with the cause. `simulate_payload` simulates a single mass.
 """
 
 from __future__ import annotations

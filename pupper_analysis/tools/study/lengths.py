@@ -158,9 +158,9 @@ def stretch_links(
 
     Returns:
         New base height h' of the nominal stand [m]: h' = r + (h - r) (H' - r) / (H - r). h is the
-        old height, r the largest foot radius, and H and H' are the base heights before and after
-        the stretch with the joints in the start pose (``Robot.home``). The height is unchanged for
-        a fixed base, or without feet.
+        old height, r the largest foot radius. H and H' are the base heights before and after the
+        stretch, with the joints in the start pose (``Robot.home``). The height is unchanged for a
+        fixed base, or without feet.
 
     Raises:
         ConfigurationError: If a link has no unique end or no length, for example.

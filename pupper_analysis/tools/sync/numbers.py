@@ -376,10 +376,10 @@ NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)
 """All kinds of numbers that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
-"""Tolerance of the difference between a body of the loaded robot and the same body in the files:
-relative for the mass, absolute [m] for the CoM, 1e3 times larger and relative for the inertia. At a
-larger difference nothing is written, since the robot was probably changed after loading. Chosen,
-not tuned.
+"""Tolerance of the difference between a body of the loaded robot and the same body in the files.
+The tolerance is relative for the mass, absolute [m] for the CoM, and 1e3 times larger and relative
+for the inertia. At a larger difference nothing is written, since the robot was probably changed
+after loading. Chosen, not tuned.
 """
 
 

@@ -139,10 +139,10 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
-"""Bounds with which `command_range_in_degrees` reports a command range: largest difference from the
-joint's range after conversion from degrees, relative to the width of the joint's range; and
-magnitude that an end of the command range must exceed: 12 rad are nearly two turns. Chosen, not
-tuned.
+"""Bounds with which `command_range_in_degrees` reports a command range. First: largest difference
+from the joint's range after conversion from degrees, relative to the width of the joint's range.
+Second: magnitude that an end of the command range must exceed; 12 rad are nearly two turns. Chosen,
+not tuned.
 """
 
 

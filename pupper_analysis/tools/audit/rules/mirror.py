@@ -882,9 +882,9 @@ SIMPLE_SHAPE_TOLERANCE = 2e-3
 shapes [m] that is not reported. Measured on published robots: at most 1 mm."""
 
 SHAPE_TOLERANCE = 0.01
-"""Largest distance between corresponding sides of the bounding boxes of left and right meshes [m]
-that is not reported, in addition to a tenth of the size: left and right meshes are cut differently.
-Chosen, not tuned.
+"""Fixed part of the largest distance between corresponding sides of the bounding boxes of left and
+right meshes [m] that is not reported. A tenth of the size is added. Left and right meshes may be
+cut differently. Chosen, not tuned.
 """
 
 

@@ -284,7 +284,7 @@ bound in repairs. Air has 1.2, light foam about 10, the lightest published link 
 
 MIN_MASS_FRACTION = 0.01
 """Smallest mass of a link with fixed links, relative to the robot's mass, at which the density of a
-link other than a free base is checked: the shapes of a light link may be markers instead of the
+link other than a free base is checked. The shapes of a lighter link may be markers instead of the
 real geometry. `_is_light_part` and `compute_median_density` also use the fraction. Chosen, not
 tuned.
 """
@@ -597,7 +597,7 @@ def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
 
 MAX_HINGE_OFFSET, MAX_HINGE_FRACTION = 0.005, 0.2
 """Largest distance between a hinge's axis and a link, and between the two links of the hinge, that
-is not reported: the larger of a length [m] and a fraction of the extent of the smaller link.
+is not reported. It is the larger of a length [m] and a fraction of the extent of the smaller link.
 Chosen, not tuned."""
 
 

@@ -793,9 +793,9 @@ def differentiate_motion(
 
     The parameters are first-moment coordinates (`MomentCoordinates`). Joints that affect each other
     form a group. The finite-difference steps are along eigenvectors of the information matrix of a
-    group. With steps along single parameters, the intervals were a quarter too narrow: a common
-    factor on kp, friction and masses has hardly any effect on the motion, but the errors of single
-    steps add up to a false effect of this factor.
+    group. With steps along single parameters, the intervals were a quarter too narrow. A common
+    factor on kp, friction and masses hardly changes the motion, but the errors of single steps add
+    up to a false effect of this factor.
 
     Args:
         simulator: Simulator.

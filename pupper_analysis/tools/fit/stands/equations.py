@@ -75,9 +75,9 @@ is 0.7 (`_SIGN_BAND_RATIO`). With a band of 0, derivatives would not exist. Chos
 
 _SIGN_BAND_RATIO = 0.7
 """Ratio [1] of the sign band b to the dead band. With the servo error e, the modelled sign of the
-friction is e / sqrt(e^2 + b^2), which is smooth: at a small servo error, dry friction may have any
-value up to its limit, as simulations of Go1 and MEVIUS show. Chosen; the confidence intervals of
-fits with this value were verified on simulated robots (``docs/explanation/fit.md``).
+friction is e / sqrt(e^2 + b^2). The function is smooth, because dry friction may have any value up
+to its limit at a small servo error. Simulations of Go1 and MEVIUS show this. Chosen; the confidence
+intervals of fits with this value were verified on simulated robots (``docs/explanation/fit.md``).
 """
 
 _HELD_FRICTION_STD = 0.45
