@@ -40,7 +40,7 @@ NUMBER_FORMAT = ".4g"
 
 ROUNDING_RTOL = 1e-12
 """Absolute value up to which a float of an array or sequence is shown as 0 in a table cell or in
-``repr``. The value is relative to the largest number of the array or sequence, but at least to 1.
+``repr``. The value is relative to the largest number of the array or sequence, or to 1 if larger.
 Chosen, not tuned.
 """
 
