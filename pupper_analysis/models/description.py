@@ -1,7 +1,7 @@
 """``Description``: URDF and MJCF of a robot, with contact points, frames and additions.
 
-A description is the input from which a ``Robot`` is built. It contains the URDF as text and the
-MJCF as MuJoCo spec, the names of contact points in both files, and a list of the elements that the
+A description is the input from which a ``Robot`` is built. It contains the URDF as text, the MJCF
+as MuJoCo spec, and the names of contact points in both files. It also lists the elements that the
 preparation has added to the MJCF.
 """
 

@@ -450,7 +450,7 @@ def embed_meshes(spec: mujoco.MjSpec) -> None:
     """Read the mesh files of a spec into its assets, in place; no effect on a spec without assets.
 
     Reason: if a spec with assets is attached to another spec, MuJoCo adds a prefix to the names of
-    all its mesh files, and does not find files that are not among the assets.
+    all its mesh files. Files that are not among the assets are then not found.
 
     Raises:
         InputError: If a mesh file cannot be read.

@@ -1,8 +1,8 @@
 """Torque-speed region of a motor: utilisation of a motion.
 
-At a speed w in the direction of the torque, the motor exerts at most
-tau = min(I_max, (V - Ke w) / R) K - T_f, and at most its peak and stall torque. K is the torque at
-the output per current, and T_f the friction of a driving motor (`Motor.compute_available_torques`).
+At a speed w in the direction of the torque, the motor exerts at most tau = min(I_max, (V - Ke w) /
+R) K - T_f. Its peak and stall torque are further bounds. K is the torque at the output per current,
+and T_f the friction of a driving motor (`Motor.compute_available_torques`).
 """
 
 from __future__ import annotations
