@@ -2,10 +2,10 @@
 
 The published model is the user's file as MuJoCo compiles it. The prepared robot is the model with
 which the equilibria of stands are predicted. If a simulation of the published model deviates from
-the predicted equilibrium, an element of the file may be the cause: for example a servo bias, a
-limit or a contact exclusion. This module lists such elements as candidate causes. The effect of
-each candidate can be removed from a copy of the model.
-If the deviation then disappears in a simulation, the element is the cause (`prepare.self_check`).
+the predicted equilibrium, an element of the file may be the cause. Examples are a servo bias, a
+limit and a contact exclusion. This module lists such elements as candidate causes. The effect of
+each candidate can be removed from a copy of the model. If the deviation then disappears in a
+simulation, the element is the cause (`prepare.self_check`).
 """
 
 from __future__ import annotations
@@ -392,7 +392,7 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 _MIN_FRICTION = 0.3
 """Lower bound of the sliding friction coefficient [1]. A contact with a lower coefficient is tested
-as the cause of a fall, or of a deviation from the predicted equilibrium: the value may be a mistake
+as the cause of a fall, or of a deviation from the predicted equilibrium. The value may be a mistake
 of the file. Chosen, not tuned.
 """
 
@@ -402,8 +402,8 @@ simulation. Chosen, not tuned."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Upper bound of the time constant of a contact (``solref``) [s]. A contact with a longer time
-constant is tested as the cause of a fall, or of a deviation from the predicted equilibrium: the
-contact may be too soft by a mistake. MuJoCo's default is 0.02 s. Chosen, not tuned."""
+constant is tested as the cause of a fall, or of a deviation from the predicted equilibrium. The
+contact may be too soft by mistake. MuJoCo's default is 0.02 s. Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces the ``solref`` of

@@ -472,7 +472,7 @@ def _map_to_urdf(
     """Convert a position on a body of the MJCF to the position of this point in the URDF.
 
     If the axes of the body's last joint differ between the files, the position is usually shifted
-    by their perpendicular offset: the position of a joint frame along its axis has no meaning.
+    by their perpendicular offset. The position of a joint frame along its axis has no meaning.
     ``world`` and the result are positions, shape (3,) [m], in the world frame.
     """
     joint = _find_last_joint(robot, body, turning=True)

@@ -117,8 +117,8 @@ few servos lacks such an attribute, its simulation may use the value of the prep
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
 """Actuator types that are not meant to hold a position. A position servo with a stiffness of zero
-or below is not in the list: such a servo is meant to hold a position, and is a defect of the file
-(``Drive.has_invalid_stiffness``)."""
+or below is not in the list: it is a defect of the file (``Drive.has_invalid_stiffness``), because a
+servo should hold a position."""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
