@@ -276,7 +276,7 @@ points. Chosen, not tuned.
 
 _ROUNDING_RATIO = 1e-9
 """Upper bound [1] of the magnitude of a negative value, divided by the largest value or limit, that
-counts as a rounding error, so that a bar plot has no negative side. Chosen, not tuned.
+counts as a rounding error. The bar plot then has no negative side. Chosen, not tuned.
 """
 
 
