@@ -324,8 +324,8 @@ def _stretch_geom(
 def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> None:
     """Stretch mass, centre of mass and inertia of a body in place; the mass is times ``factor``.
 
-    The body is replaced by six equal point masses on its principal axes with the same mass, centre
-    and inertia (an equimomental system), whose positions are multiplied by ``matrix``, shape (3,
+    The body is replaced by an equimomental system: six equal point masses on its principal axes
+    with the same mass, centre and inertia. Their positions are multiplied by ``matrix``, shape (3,
     3).
     """
     rotation = _convert_quaternion(body.iquat)
