@@ -78,7 +78,7 @@ by spheres."""
 MAX_IMPORTED_TORQUE_DEVIATION = 0.1
 """Largest `PublishedRun.torque_error` [1] with which a simulation of a URDF agrees with the
 computed equilibrium; replaces ``MAX_TORQUE_DEVIATION``. The equilibrium is computed with foot
-spheres, but MuJoCo's import of a URDF keeps the collision meshes of the file, whose contacts are at
+spheres, but MuJoCo's import of a URDF keeps the collision meshes of the file. Their contacts are at
 slightly different positions (error of Go2: 0.065)."""
 
 MAX_PUBLISHED_DEVIATION = 0.02

@@ -259,8 +259,8 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 _PROBE_RADIUS = 1e-4
 """Radius [m] of a small sphere with which the depth of a hand's contact point inside the collision
-shapes is computed, because the collision library (coal) requires a body with a volume. A point at
-most this deep counts as outside. Chosen, not tuned."""
+shapes is computed. The collision library (coal) requires a body with a volume. A point at most this
+deep counts as outside. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
 """Radius [m] of the contact sphere of a hand whose centre is outside of the collision shapes of the
