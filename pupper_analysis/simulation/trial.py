@@ -118,7 +118,7 @@ the part beyond the range of the motion so far. Chosen as a hundredth of `MAX_JO
 
 _SPEED_FACTOR = 1.5
 """Safety factor [1] on measured speeds, in the upper bound of the motion in the remaining time of a
-nudged simulation: an oscillation may be slower while the speed is measured. Chosen, not tuned.
+nudged simulation. An oscillation may be slower while the speed is measured. Chosen, not tuned.
 """
 
 _PREDICTION_FACTOR = 1.25

@@ -120,9 +120,9 @@ prediction in a verified stand with feed-forward. Differences of torques are div
 """
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound of the force by which the error of a foot force is divided, as a fraction [1] of the
-predicted vertical load on all feet (of the weight, with welds or grips). Without the bound, feet
-with almost no load would have large relative errors. Chosen, not tuned."""
+"""Lower bound of the force by which the error of a foot force is divided. It is a fraction [1] of
+the predicted vertical load on all feet, or of the weight with welds or grips. Without the bound,
+feet with almost no load would have large relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
 """Upper bound [1] of the height loss of a verified stand with feed-forward, divided by the CoM
