@@ -519,8 +519,8 @@ def relax_foot_orientation(
 
 NEAR_MISS = 1e-3
 """Largest foot error [m], or constraint violation of the nonlinear program [m, rad], with which IK
-refines a configuration, since a small displacement of the CoM may bring the feet to their targets.
-Also a reserve in other searches, for example in `bound_com_shift`. Chosen, not tuned."""
+refines a configuration. A small displacement of the CoM may bring the feet to their targets. Also a
+reserve in other searches, for example in `bound_com_shift`. Chosen, not tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a

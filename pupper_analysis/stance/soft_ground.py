@@ -157,9 +157,9 @@ def solve_stand_on_soft_ground(
 def _update_relaxation(relaxation: float, before: Array, residual: Array) -> float:
     """Compute the factor on the next step of the fixed-point iteration, by Aitken's method.
 
-    With the residuals r (n,) [m] (required changes of the depths), the factor w of the last step
-    and the new factor w': w' = -w r_before (r - r_before) / |r - r_before|^2, within
-    `_RELAXATION_RANGE`.
+    The new factor is w' = -w r_before (r - r_before) / |r - r_before|^2, within
+    `_RELAXATION_RANGE`. r (n,) [m] are the residuals (required changes of the depths), and w is the
+    factor of the last step.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).

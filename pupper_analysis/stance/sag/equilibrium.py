@@ -482,8 +482,9 @@ class SagEquilibrium:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
         A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        the result is the quantity s of the slip law: the displacement since the start of the creep
-        step, projected onto rigid motions of the soles, plus compliance times tangential force.
+        the result is the quantity s of the slip law. s is the displacement since the start of the
+        creep step, projected onto rigid motions of the soles, plus compliance times tangential
+        force.
 
         Args:
             qpos: Configuration, shape (nq,).
