@@ -460,7 +460,8 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
 
 _MIN_BRIGHT_FRACTION = 0.44
 """Position on the colour scale of the heat map, 0 to 1, above which the number in a cell is written
-in black instead of white: there, black has the higher contrast ratio (WCAG 2.1) on viridis.
+in black instead of white. Above this position, black has the higher contrast ratio (WCAG 2.1) on
+viridis.
 """
 
 

@@ -173,7 +173,10 @@ def _select_next_step(analysis: Analysis) -> doc.NextStep:
 
 
 def _select_warnings(analysis: Analysis, first: Iterable[doc.Text]) -> Iterable[doc.Words]:
-    """Yield the warnings of the verdict (``first``), and failures without feed-forward."""
+    """Yield the warnings ``first`` of the verdict, then other failures without feed-forward.
+
+    The failures are omitted if the verdict contains these (``Verdict.commands_alone``).
+    """
     yield from first
     alone = analysis.verdict.commands_alone
     if alone in (None, Ending.HOLDS):

@@ -45,14 +45,15 @@ reachable base height. This bound applies outwards and inwards; see `MAX_INWARD_
 inward bound. Chosen, not tuned."""
 
 MAX_INWARD_STEP = 0.5
-"""Bound of the search: largest displacement of a foot towards the centre of the feet along x or y,
-relative to the smallest distance of a free foot from this centre along that axis. The bound of
-`MAX_OUTWARD_STEP` applies, too. Chosen, not tuned."""
+"""Bound of the search: largest displacement of a foot towards the centre of the feet along x or y.
+It is relative to the smallest distance of a free foot from this centre along the same axis. The
+bound of `MAX_OUTWARD_STEP` applies, too. Chosen, not tuned."""
 
 MIN_OFFSET_RATIO = 0.01
-"""Smallest offset of a foot from the centre of the feet along x or y, relative to the largest
-distance of a free foot from this centre, with which one direction along this axis is outward. With
-a smaller offset, as of a biped's feet along x, both directions are outward. Chosen, not tuned."""
+"""Smallest offset of a foot from the centre of the feet along x or y, with which one direction
+along this axis is outward. It is relative to the largest distance of a free foot from this centre.
+With a smaller offset, as of a biped's feet along x, both directions are outward. Chosen, not
+tuned."""
 
 MAX_BASE_ROTATION = 0.3
 """Bound of the search: largest difference of the base's roll, pitch and yaw from the initial task

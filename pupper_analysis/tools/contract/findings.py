@@ -280,8 +280,8 @@ def find_unmatched_joints(
 ) -> list[Diagnostic]:
     """List the joint names of each source that match no joint of the robot, and missing joints.
 
-    If one name of a source is left, and its quantities lack the number of one joint of the robot
-    only, the message contains this joint: the name probably belongs to this joint. Missing joints
+    If one name of a source is left, and its quantities lack the number of a single joint of the
+    robot, the message contains this joint. The name probably belongs to this joint. Missing joints
     are only reported of models: another source may contain the actuated joints alone.
 
     Args:

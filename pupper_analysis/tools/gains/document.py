@@ -149,7 +149,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _format_present_gains(study: GainStudy) -> doc.Text:
-    """Return the ranges of the present kp and kd, without units, which the range of others has."""
+    """Return the ranges of the present kp and kd, without units."""
     return text(
         "gains-present-values",
         added=bool(study.servos.made),

@@ -289,8 +289,8 @@ def servo_payload(
 ) -> tuple[float, str]:
     """Compute the largest mass at a tool that position servos hold in a posture.
 
-    The stiffness of the robot with a mass m is W^T (K + G_0 + m G_1) W: K is the servo stiffness,
-    G_0 and m G_1 are the derivatives of the static loads of robot and mass, and W is a basis of the
+    The stiffness of the robot with a mass m is W^T (K + G_0 + m G_1) W. K is the servo stiffness.
+    G_0 and m G_1 are the derivatives of the static loads of robot and mass. W is a basis of the
     joint velocities that loops and couplings permit. The limit is the smallest m at which this
     matrix is singular, or at which a command with feed-forward, q + tau(m) / kp, reaches the end of
     its range. The limit is 0 if the servos do not hold the robot without payload. Effort limits are

@@ -227,7 +227,7 @@ def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     """Return groups of joints that loops and couplings connect, as sorted joint indices.
 
     Two joints are connected if the same constraint depends on both, at ``qpos``, shape (nu,), or at
-    random postures nearby: elements of the Jacobian may vanish in a singular posture.
+    random postures nearby. Elements of the Jacobian may vanish in a singular posture.
     """
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]

@@ -280,8 +280,8 @@ def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
 def format_drop(result: Drop) -> tuple[str, str]:
     """Return two texts about a dropped robot.
 
-    The first contains the base height and its deviation, the second tilt, contacts, and the pose
-    that the servos hold: not the stand of `stand`, which solves its own pose.
+    The first contains the base height and its deviation. The second contains tilt, contacts, and
+    the pose that the servos hold; the command `stand` solves another pose.
     """
     still = result.height_deviation < STABLE_DEVIATION
     end = result.end

@@ -226,7 +226,7 @@ def rolling_levers(
     """Compute the moment per normal force with which the ground resists the rotation of each foot.
 
     MuJoCo's contacts with ``condim`` 4 or 6 resist spinning about the normal, with ``condim`` 6
-    also rolling, by a moment of at most mu_j f_n: the coefficient mu_j [m] of the contact times the
+    also rolling. The moment is at most mu_j f_n: the coefficient mu_j [m] of the contact times the
     normal force. The limit is reached at a low angular velocity. Below, the moment is
 
         mu_j^2 / mu_1^2 (alpha + b omega) / R

@@ -308,8 +308,8 @@ def stance_path(
     dry friction of the joints and the ground's resistance to rolling feet, with minimum tangential
     forces.
 
-    A foot that is lifted in a stance is unloaded from the previous to the next stance, so the CoM
-    must already be above the other feet in these stances. On the segments before and after, its
+    A foot that is lifted in a stance is unloaded from the previous to the next stance. In these
+    stances, the CoM must already be above the other feet. On the segments before and after, its
     load fades out or in, so that torques are continuous.
 
     A loaded foot does not slip, but the sphere of the foot (radius r) rolls as the leg rotates with

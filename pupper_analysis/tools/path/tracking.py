@@ -234,10 +234,10 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
 def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
     """Compute the penetration of a foot, shape (n,) [m], under time-varying loads, shape (n,) [N].
 
-    MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2, with the force f, penetration r,
-    impedance d, regularisation R, and stiffness k and damping b of the ground law. For a load that
-    is linear in ``time``, shape (n,) [s], the penetration is approximately the static depth for the
-    load at an earlier time, by b / (k d).
+    MuJoCo's contact satisfies R f = k d r + b dr/dt + d2r/dt2. f is the force, r the penetration, d
+    the impedance, and R the regularisation; k and b are stiffness and damping of the ground law.
+    For a load that is linear in ``time``, shape (n,) [s], the penetration is approximately the
+    static depth for the load at an earlier time, by b / (k d).
     """
     depths = np.array([law.depth(load) for load in loads])
     lag = law.damping / (law.stiffness * law.impedance(float(depths.mean())))

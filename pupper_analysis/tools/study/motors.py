@@ -132,7 +132,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     - Velocity limit: speed of the motor without load.
     - Armature: inertia of the rotor at the output.
     - Servo gains: gains that the motor states.
-    - Mass of the parent link, or of the heaviest link that is fixed to the parent link: the mass
+    - Mass of the parent link, or of the heaviest link that is fixed to the parent link. The mass
       difference to the motor ``present`` is added as a point mass at the origin of the joint.
 
     Velocity limits, armatures and gains that the motor does not state are kept.

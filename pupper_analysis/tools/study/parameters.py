@@ -308,8 +308,8 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 def with_ground_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with a given coefficient of sliding friction of feet and ground.
 
-    All geoms of the feet and of the world body get the coefficient, since MuJoCo uses the larger
-    value of both geoms, or the value of the geom with higher priority.
+    All geoms of the feet and of the world body get the coefficient. MuJoCo uses the larger value of
+    both geoms, or the value of the geom with higher priority.
 
     Raises:
         ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has

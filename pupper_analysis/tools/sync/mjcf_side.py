@@ -153,7 +153,7 @@ def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Arr
 
 COPIED_BODY = diagnose("body-is-a-copy")
 """Reason why a change of a body or its joint is not written to the MJCF: the file contains no
-element for it, for example because MuJoCo copies the body from another element.
+element of the body. For example, MuJoCo copies the body from another element.
 """
 
 

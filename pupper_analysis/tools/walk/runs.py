@@ -1,6 +1,6 @@
 """Simulation of many runs of a policy: batches run in lockstep, and threads share the batches.
 
-The result of a run is bitwise independent of the number of workers and of the other runs: MuJoCo
+The result of a run is bitwise independent of the number of workers and of the other runs. MuJoCo
 steps each run separately, and the network multiplies the row of each run separately.
 """
 

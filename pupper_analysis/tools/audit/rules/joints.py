@@ -578,8 +578,7 @@ class Leg:
         """Compute the fraction of the knee range for which a hip angle puts the foot below the hip.
 
         The hip angle must be within the limits. Sampled knee angles with a folded leg (foot near
-        the hip)
-        are left out.
+        the hip) are left out.
 
         Args:
             hip: Lower and upper limit of the hip [rad].

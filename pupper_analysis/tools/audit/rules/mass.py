@@ -255,8 +255,8 @@ reports this link instead of the base as too heavy for the motors. Chosen, not t
 def total_mass_replaced(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a ``settotalmass`` that differs from the sum of the masses in the file.
 
-    The severity is NOTE if the ratio is at most `MAX_TOTAL_MASS_RATIO`, as of a weighed robot, or
-    if the file states no mass: then MuJoCo computes all masses from densities.
+    The severity is NOTE if the ratio is at most `MAX_TOTAL_MASS_RATIO`, as of a weighed robot. It
+    is also NOTE if the file states no mass: then MuJoCo computes all masses from densities.
     """
     spec, model = robot.file.spec, robot.mj_model
     if model is None or not spec.compiler.settotalmass > 0:
@@ -365,8 +365,8 @@ more.
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment of inertia to m R^2 that is not reported if the sizes of some shapes
-are unknown: R, the largest distance from the CoM to the known points, may then be smaller than the
-link. Chosen, not tuned.
+are unknown. R is the largest distance from the CoM to the known points, and may then be smaller
+than the link. Chosen, not tuned.
 """
 
 MIN_GYRATION_SQUARED = 1e-10

@@ -427,7 +427,7 @@ def _is_distributed_otherwise(
 ) -> bool:
     """Return True if two links differ only in how mass is assigned to links that are fixed to them.
 
-    The masses of the links differ, but mass and CoM of both groups of fixed links agree: a
+    The masses of the links differ, but mass and CoM of both groups of fixed links agree. A
     converter may add the inertial of a fixed link to its parent on one side only.
     """
     if _masses_agree(first, second):

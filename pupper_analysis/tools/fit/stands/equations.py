@@ -185,8 +185,8 @@ class StandRows:
     """Residuals of a stand and derivatives, for given parameters, base pose and contact forces.
 
     The own unknowns of a stand are the rotations of the base about its x and y axes, the base
-    height, and the three force components at each of the p contact points. Forces are in the axes
-    of the ground.
+    height, and three force components per contact point (p points). Forces are in the axes of the
+    ground.
 
     Args:
         table: Parameters.

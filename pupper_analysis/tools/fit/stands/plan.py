@@ -517,8 +517,8 @@ _MAX_REQUIRED_CLEARANCE = 0.005
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal stand, if the product is less than `_MAX_REQUIRED_CLEARANCE`: thighs may be close to the
-body. Chosen, not tuned.
+nominal stand. It applies if the product is less than `_MAX_REQUIRED_CLEARANCE`: thighs may be close
+to the body. Chosen, not tuned.
 """
 
 _COM_MARGIN_RATIO = 0.05
