@@ -139,7 +139,7 @@ def mujoco_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session", params=NAMES)
 def variant(request: pytest.FixtureRequest) -> str:
-    """The name of each variant in turn."""
+    """Return the name of a variant; the tests run with each variant."""
     return str(request.param)
 
 

@@ -30,7 +30,7 @@ from tests.support.robots import quadruped, urdf_text
 
 
 def complete(typed: str, step: NextStep | None) -> str:
-    """Returns the command line that follows a typed one."""
+    """Return the command line that follows a typed one."""
     name, *words = shlex.split(typed)
     root = click.Context(cli.group, info_name="pupper-analysis")
     command = cli.find_command(name)

@@ -117,7 +117,7 @@ and ``workspace`` gives no verdict."""
 
 
 def rows() -> list[object]:
-    """The rows of the table, slow ones marked."""
+    """Return the rows of the table, slow ones marked."""
     with TABLE.open(encoding="utf-8", newline="") as file:
         found = list(csv.DictReader(file))
     names = ("command", "attribute", "value", "file")

@@ -48,7 +48,7 @@ USED = {
 
 @pytest.fixture
 def files(tmp_path: Path) -> Any:
-    """A robot's files, and files that its URDF may include."""
+    """Return a robot's files, and files that its URDF may include."""
     parts = tmp_path / "parts"
     parts.mkdir()
     (parts / "inks.xacro").write_text(MATERIALS)

@@ -20,9 +20,10 @@ from tests.support.variants import load
 
 
 def resize_robot(robot: pa.Robot, size: float, density: float = 1.0) -> pa.Robot:
-    """The robot with lengths times a size and a density times another; times go as the size's root.
+    """Scale the lengths of a robot by ``size`` and the density by ``density``.
 
-    Masses then go as its third power, torques as the fourth, inertias as the fifth.
+    Times scale with the square root of ``size``, masses with size^3, torques with size^4, and
+    inertias with size^5.
     """
     time, mass, torque = size**0.5, density * size**3, density * size**4
     spec, root = robot.description.mjcf.copy(), parse_text(robot.description.urdf)

@@ -115,7 +115,7 @@ def test_cells_are_equal_on_terminals_pages_and_in_markdown(name: str) -> None:
 
 
 def write(names: Iterable[str]) -> None:
-    """Writes the golden documents anew."""
+    """Write the golden documents anew."""
     for name in names:
         (GOLDEN / f"{name}.md").write_text(write_markdown(report(name)), encoding="utf-8")
 

@@ -30,7 +30,7 @@ from tests.support.stubs import problem
 
 
 def read_command(line: str) -> tuple[str, dict[str, str], str]:
-    """Reads a workflow command as GitHub's runner does (ActionCommand.cs)."""
+    """Read a workflow command as GitHub's runner does (ActionCommand.cs)."""
     parts = re.fullmatch(r"::(\w+) ?(.*?)::(.*)", line)
     assert parts is not None, line
     properties = {}

@@ -43,7 +43,7 @@ from tests.support.stubs import ANALYSIS, SERVOS, STAND, problem, run, stance
 
 
 def print_words(shown: Document) -> list[str]:
-    """The words that are printed, without rules and bars."""
+    """Return the words that are printed, without rules and bars."""
     text = printing.printed(shown, width=240)
     return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
 
@@ -128,7 +128,7 @@ def make_wear_document(wear: FootWear, _: object = None) -> Document:
 
 @pytest.fixture
 def wear() -> FootWear:
-    """A result whose document is registered."""
+    """Return a result whose document is registered."""
     build_document.register(FootWear, make_wear_document)
     time, rates = np.array([0.0, 10.0, 20.0]), {"FL": 0.25, "RR": 0.75}
     return FootWear("v9", rates, time, {foot: rate * time for foot, rate in rates.items()}, True)

@@ -36,7 +36,7 @@ from tests.support.stubs import REPORTS, problem
 
 
 def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Table:
-    """A table whose cells are all different."""
+    """Return a table whose cells are all different."""
     heads = [Column(Name("joint"), left=True)]
     heads += [Column(Name(f"column {index}"), "N m") for index in range(1, columns)]
     cells = tuple(

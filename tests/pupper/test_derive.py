@@ -252,7 +252,7 @@ def test_heavier_torso_is_marked_by_a_block_without_mass_in_both_files(
 
 
 def base_name(base: str) -> str:
-    """The name of the variant that equals a base model."""
+    """Return the name of the variant that equals a base model."""
     return {"skeleton": "original", "v3": "v3"}[base]
 
 

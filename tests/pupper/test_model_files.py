@@ -21,7 +21,7 @@ MJCF = ROOT / "mjcf"
 
 @pytest.fixture(scope="module", params=BASES)
 def base(request: pytest.FixtureRequest) -> str:
-    """The unscaled variant of each pair of files."""
+    """Return the name of an unscaled variant; the tests run with each pair of files."""
     return str(request.param)
 
 

@@ -33,7 +33,7 @@ STEPS = {step["name"]: step for step in ACTION["runs"]["steps"] if "run" in step
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """The sample repository, checked out."""
+    """Return the sample repository, checked out."""
     shutil.copytree(SAMPLE, tmp_path / "checkout")
     return tmp_path / "checkout"
 
@@ -55,7 +55,7 @@ def environment(checkout: Path, **inputs: str) -> dict[str, str]:
 
 
 def step(name: str, checkout: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
-    """Runs a step as GitHub's runner does: ``bash --noprofile --norc -eo pipefail``."""
+    """Run a step as GitHub's runner does: ``bash --noprofile --norc -eo pipefail``."""
     assert STEPS[name]["shell"] == "bash"
     script = checkout.parent / "step.sh"
     script.write_text(STEPS[name]["run"])
@@ -71,7 +71,7 @@ def step(name: str, checkout: Path, **inputs: str) -> subprocess.CompletedProces
 
 @pytest.fixture
 def installed(checkout: Path) -> Path:
-    """The checkout, where the package of this checkout is installed as the action would."""
+    """Return the checkout, where the package of this checkout is installed as the action would."""
     programs = checkout.parent / "temp" / "pupper-analysis" / "bin"
     programs.mkdir(parents=True)
     program = programs / "pupper-analysis"

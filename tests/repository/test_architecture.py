@@ -20,7 +20,7 @@ drawing = script("docs/draw_architecture.py")
 
 
 def list_imports(tree: ast.Module) -> Iterator[str]:
-    """The package's modules that a module imports when it is imported, or for annotations."""
+    """Yield the names of modules that a module imports on its import, or for annotations."""
     blocks = [node.body for node in tree.body if isinstance(node, ast.If)]
     for node in (*tree.body, *chain(*blocks)):
         if isinstance(node, ast.ImportFrom) and node.module:

@@ -26,7 +26,7 @@ build_meshes = script("scripts/build_meshes.py")
 
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a fresh build of all parts, made by the command itself."""
+    """Return a folder with a fresh build of all parts, made by the command itself."""
     folder: Path = tmp_path_factory.mktemp("meshes")
     result = CliRunner().invoke(build_meshes.main, ["--output", str(folder)])
     assert result.exit_code == 0, result.output
@@ -34,7 +34,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def load(path: Path) -> Trimesh:
-    """The part as a reader of the file sees it, equal vertices joined."""
+    """Load the mesh of a part with trimesh, which merges equal vertices."""
     part = trimesh.load_mesh(path)
     assert isinstance(part, Trimesh)
     return part

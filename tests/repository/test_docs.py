@@ -39,7 +39,7 @@ DATA = ROOT / "docs" / "data"
 
 
 def rows(page: str) -> list[list[str]]:
-    """The rows of a page's tables, without their headers; a cell may hold an escaped bar."""
+    """Return the rows of a page's tables, without their headers; a cell may hold an escaped bar."""
     lines = [line for line in (ROOT / page).read_text().splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
     rules = [index for index, row in enumerate(cells) if set(row) == {"---"}]
@@ -135,7 +135,7 @@ def test_data_tables_are_rectangular_and_described() -> None:
 
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The generated pages of both sites, in ``en`` and ``zh``."""
+    """Return the generated pages of both sites, in ``en`` and ``zh``."""
     folder = tmp_path_factory.mktemp("sites")
     pages = script("docs/pages.py")
     for language in ("en", "zh"):

@@ -137,7 +137,7 @@ def check_own_robot(text: str) -> None:
 
 
 def check_path(text: str) -> None:
-    """The path begins with the torques of the stand, and the ZMP is never better than there."""
+    """Check that the path begins with the torques of the stand, and bound the ZMP margin."""
     robot = load("v3")
     with Path("squat.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
@@ -159,7 +159,7 @@ def check_path(text: str) -> None:
 
 
 def check_slope(text: str) -> None:
-    """Three feet carry the weight; forces straight up use tan(5 deg) / mu of the friction."""
+    """Check that three feet carry the weight; vertical forces use tan(5 deg) / mu of friction."""
     robot = load("v3")
     carried = re.findall(r"^(\w+) carries +([\d.]+) N and uses (\d+)% of its friction$", text, re.M)
     assert {foot for foot, _, _ in carried} == {"FR", "RR", "RL"}
@@ -171,7 +171,7 @@ def check_slope(text: str) -> None:
 
 
 def check_steady_state(text: str) -> None:
-    """The losses add up; the simulation differs by dry friction, which the prediction omits."""
+    """Check the sum of the losses; dry friction in the simulation is not in the prediction."""
     commanded, predicted = find_number("commanded", text), find_number("predicted", text)
     lost = find_number("lost in the servos", text) + find_number("lost in the ground", text)
     assert commanded == pytest.approx(1e3 * load("v3").stand_height, abs=6e-3)
@@ -181,7 +181,7 @@ def check_steady_state(text: str) -> None:
 
 
 def check_walk(text: str) -> None:
-    """A knee carries the torque of statics within 30 %: the stand sags."""
+    """Check that a knee torque equals the static torque within 30 %, because the stand sags."""
     torques = pa.stance.stand_statics(load("v3"), stand_of("v3")).joint_torques
     assert find_number("leg_front_r_3:", text) == pytest.approx(abs(torques[2]), rel=0.3)
 

@@ -73,7 +73,7 @@ def test_simulated_sags_are_those_of_a_plain_mujoco_simulation() -> None:
 
 
 def commands(text: str) -> list[str]:
-    """The commands that a page names: between backticks, or in a block of code."""
+    """Return the commands that a page names: between backticks, or in a block of code."""
     spans = re.findall(r"`(pupper-analysis [a-z][^`]*)`", text)
     joined = text.replace("\\\n", " ")
     lines = re.findall(r"^(?: {4}|\$ |- run: )?(pupper-analysis .*)$", joined, re.M)

@@ -39,7 +39,7 @@ def install(folder: Path, package: str, files: dict[str, str], stated: str) -> P
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the tool of the page."""
+    """Return a folder with the tool of the page."""
     stated = tomllib.loads(PARTS["pyproject.toml"])
     data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
     files = {

@@ -255,7 +255,7 @@ GEARS = np.array([2.0, -1.5, 0.4] * 4)
 
 
 def add_gears(name: str, *, force: float | None = None) -> pa.Robot:
-    """The robot with gears, the actuators' own numbers left as they are."""
+    """Load a variant with gears; the other numbers of the actuators are not changed."""
     robot = load(name)
     actuators = robot.mj_convention.actuator_index
 

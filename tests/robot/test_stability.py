@@ -27,7 +27,7 @@ INERTIA, MOMENT = 0.3, 6.0  # kg m^2 of the rotor; m g l of 1 kg (N m)
 
 
 def pendulum(kp: float, kd: float, integrator: str = "Euler", timestep: float = 0.002) -> str:
-    """A rod upside down, on a servo."""
+    """Return a rod upside down, on a servo."""
     mass, length = 1.0, MOMENT / 9.81
     return f"""
       <mujoco><option timestep="{timestep}" integrator="{integrator}" gravity="0 0 -9.81"/>

@@ -37,7 +37,7 @@ TABLE, HAND = 0.5, "hand"
 
 @pytest.fixture(scope="module")
 def armed(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
-    """A quadruped with an arm of three joints, whose hand is a sphere of 25 mm."""
+    """Return a quadruped with an arm of three joints, whose hand is a sphere of 25 mm."""
     pair = with_arm(quadruped(tmp_path_factory.mktemp("armed"), floor=True, actuators="position"))
     return pa.load_robot(*pair)
 

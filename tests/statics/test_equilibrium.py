@@ -41,7 +41,7 @@ def at_stand(name: str) -> pa.Configuration:
 
 
 def near_stand(name: str, share: np.ndarray) -> pa.Configuration:
-    """The stand with its base turned and its joints bent a little."""
+    """Return a configuration near the stand: base rotated, joints displaced by random shares."""
     qpos = stand_of(name).qpos.copy()
     qpos[4:7] += 0.1 * share[:3]
     qpos[7:] += 0.15 * share[3:]
@@ -56,7 +56,7 @@ def weight(config: pa.Configuration) -> float:
 
 
 def check_newton_euler(config: pa.Configuration, result: pa.statics.GravityCompensation) -> None:
-    """The contact forces carry the weight, and have no moment about the com."""
+    """Check that the contact forces equal the weight, and have no moment about the CoM."""
     total = sum(result.contact_forces.values(), np.zeros(3))
     moment = sum(
         (
@@ -160,7 +160,7 @@ def jacobians(config: pa.Configuration, result: pa.statics.GravityCompensation) 
 def joint_torques(
     config: pa.Configuration, result: pa.statics.GravityCompensation, forces: np.ndarray
 ) -> np.ndarray:
-    """The joint torques that go with contact forces (3 n,)."""
+    """Return the joint torques that go with contact forces (3 n,)."""
     torques = config.gravity()
     for jacobian, force in zip(jacobians(config, result), forces.reshape(-1, 3), strict=True):
         torques -= jacobian.T @ force
@@ -414,7 +414,7 @@ def test_hanging_torques_equal_the_joint_part_of_gravity(variant: str) -> None:
 
 
 def tilt_vertical(angle: float, heading: float = 0.0) -> np.ndarray:
-    """A unit vector at an angle to the vertical."""
+    """Return a unit vector at an angle to the vertical."""
     across = np.array([math.cos(heading), math.sin(heading), 0])
     return np.asarray(math.cos(angle) * UP + math.sin(angle) * across)
 

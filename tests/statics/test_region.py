@@ -20,7 +20,7 @@ from tests.support.variants import load, stand_of
 
 
 def with_com_at(robot: pa.Robot, qpos: np.ndarray, place: np.ndarray) -> pa.Robot:
-    """The robot with the mass of its base moved, so that the CoM is above a place (2,) [m]."""
+    """Displace the CoM of the base so that the CoM of the robot is above ``place`` (2,) [m]."""
     config = pa.Configuration(robot, qpos)
     model = robot.pin_model.copy()
     way = np.append(place - config.center_of_mass()[:2], 0.0)

@@ -48,7 +48,7 @@ def written(tmp_path: Path) -> Written:
 
 @pytest.fixture
 def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The degrees of freedom of each set of Pinocchio's data that is made."""
+    """Return the degrees of freedom of each set of Pinocchio's data that is made."""
     made: list[int] = []
     workspace = Structure.acquire_workspace
 

@@ -40,7 +40,7 @@ class Files:
         return self.choose.choice([j for j in self.urdf.iter("joint") if j.get("type") != "fixed"])
 
     def heavy_link(self) -> Element:
-        """A link with mass that moves by a joint of its own, or the base."""
+        """Return a link with mass that moves by a joint of its own, or the base."""
         fixed = {
             child.get("link")
             for joint in self.urdf.iter("joint")
@@ -51,7 +51,7 @@ class Files:
         return self.choose.choice([link for link in links if link.get("name") not in fixed])
 
     def mover(self, link: Element) -> str:
-        """The joint that moves a link; the base by its own name."""
+        """Return the joint that moves a link; the base by its own name."""
         name = link.get("name")
         for joint in self.urdf.iter("joint"):
             if joint.find("child").get("link") == name:
@@ -66,7 +66,7 @@ class Files:
         return self.choose.choice(self.mjcf_joints())
 
     def mjcf_body(self) -> Element:
-        """A body with a hinge."""
+        """Return a body with a hinge."""
         bodies = list(self.mjcf.iter("body"))
         return self.choose.choice([body for body in bodies if body.get("name") != "base_link"])
 
@@ -161,7 +161,7 @@ def in_degrees(values: Values, _: random.Random) -> Values | None:
 
 
 def other_side(values: Values, _: random.Random) -> Values | None:
-    """The y of a hip has the other sign, as when a leg is copied from the other side."""
+    """Negate the y of a hip, as if a leg was copied from the opposite side."""
     return [values[0], -values[1], values[2]] if abs(values[1]) >= 1e-3 else None
 
 
@@ -285,7 +285,7 @@ def _read_mass(link: Element) -> float:
 
 @mutation
 def dropped_link(files: Files) -> Expected | None:
-    """A foot, or another link on a fixed joint, is missing with its mass."""
+    """Remove a foot, or another link with mass on a fixed joint."""
     links = {link.get("name"): link for link in files.urdf.iter("link")}
     feet = [
         joint
@@ -352,7 +352,7 @@ def mjcf_force_range(files: Files) -> Expected:
 
 @mutation
 def mjcf_degrees(files: Files) -> Expected | None:
-    """The file is read in degrees: all its ranges shrink."""
+    """Set the angle unit of the MJCF to degrees, which shrinks all ranges."""
     if not any(
         joint.get("range") for body in files.mjcf.iter("body") for joint in body.iter("joint")
     ):

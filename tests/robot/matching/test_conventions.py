@@ -51,7 +51,7 @@ def rotation_of(part: Part) -> Rotation:
 def change_frame(
     parts: Parts, frames: Frames, link: str, turn: Rotation, shift: np.ndarray
 ) -> tuple[Parts, Frames]:
-    """The same robot with the frame of a link turned, and its origin shifted in its old axes."""
+    """Rotate the frame of a link by ``turn``, and shift the origin [m], in the old axes."""
 
     def inside(point: object) -> tuple[float, ...]:
         return tuple(turn.inv().apply(np.array(point) - shift))

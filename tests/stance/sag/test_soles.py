@@ -22,8 +22,9 @@ Load = Callable[[int], pa.Robot]
 
 @pytest.fixture(scope="module")
 def load_biped(tmp_path_factory: pytest.TempPathFactory) -> Load:
-    """A function that loads an irregular biped by its seed, once: the search of its start pose
-    takes up to 20 s.
+    """Return a function that loads an irregular biped by its seed, with a cache.
+
+    The search of the start pose takes up to 20 s.
     """
 
     @cache

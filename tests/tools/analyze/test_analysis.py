@@ -135,7 +135,7 @@ LEGS = {"FR": (0.1, -0.08), "FL": (0.1, 0.08), "RR": (-0.1, -0.08), "RL": (-0.1,
 
 
 def telescope(folder: Path) -> pa.Robot:
-    """A box on four legs of one joint each, which slides."""
+    """Return a box on four legs of one joint each, which slides."""
     heavy = {"inertia": (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0), "damping": 0.0, "friction": 0.0}
     parts = {"base": Part("base", mass=2.0, **heavy)}
     for leg, (x, y) in LEGS.items():

@@ -47,7 +47,7 @@ def com_margin(robot: pa.Robot, stand: pa.Stand) -> float:
 
 
 def compute_leg_singular_values(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
-    """The least singular value of each leg's Jacobian."""
+    """Return the least singular value of each leg's Jacobian."""
     values = []
     for jacobian in pa.Configuration(robot, stand.qpos).foot_jacobians().values():
         columns = jacobian[:, 6:]

@@ -47,7 +47,7 @@ BASELINE = "pupper-analysis-baseline.txt"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the sample repository."""
+    """Return a copy of the sample repository."""
     monkeypatch.delenv("GITHUB_WORKSPACE", raising=False)
     shutil.copytree(SAMPLE, tmp_path / "repository")
     return tmp_path / "repository"

@@ -27,7 +27,7 @@ contract = ["gym_cfg.py:PupperCfg", "deploy.yaml"]
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with a URDF, a trainer and a deployment that agree."""
+    """Return a repository with a URDF, a trainer and a deployment that agree."""
     monkeypatch.delenv("GITHUB_WORKSPACE", raising=False)
     (tmp_path / "v3.urdf").write_bytes((ROOT / "urdf/pupper_v3.urdf").read_bytes())
     (tmp_path / "gym_cfg.py").write_text(GYM)

@@ -29,7 +29,7 @@ def git(folder: Path, *arguments: str) -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A repository with v3 in it, committed."""
+    """Return a repository with v3 in it, committed."""
     copy_mjcf(tmp_path)
     (tmp_path / "urdf").mkdir()
     shutil.copy(ROOT / "urdf/pupper_v3.urdf", tmp_path / "urdf")

@@ -172,7 +172,7 @@ num_actions: 12
 
 
 def varint(value: int) -> bytes:
-    """Returns an integer as Protocol Buffers write it: seven bits a byte, the least first."""
+    """Return an integer as Protocol Buffers write it: seven bits a byte, the least first."""
     value &= (1 << 64) - 1
     out = bytearray()
     while value > 127:
@@ -183,7 +183,7 @@ def varint(value: int) -> bytes:
 
 
 def field(number: int, value: int | bytes | str) -> bytes:
-    """Returns a field of a message: an integer, or bytes with their length."""
+    """Return a field of a message: an integer, or bytes with their length."""
     if isinstance(value, int):
         return varint(number << 3) + varint(value)
     data = value.encode() if isinstance(value, str) else value
@@ -191,13 +191,13 @@ def field(number: int, value: int | bytes | str) -> bytes:
 
 
 def value(name: str, *sizes: int) -> bytes:
-    """Returns a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
+    """Return a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
     dims = b"".join(field(1, field(1, size) if size else field(2, b"batch")) for size in sizes)
     return field(1, name) + field(2, field(1, field(1, 1) + field(2, dims)))
 
 
 def onnx(**metadata: str) -> bytes:
-    """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
+    """Return a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
     model = b"\x08\x07"  # ir_version, a varint
     for key, text in metadata.items():
         model += field(14, field(1, key) + field(2, text))
@@ -215,7 +215,7 @@ ONNX = {
 
 
 def write_all(folder: Path) -> dict[str, Path]:
-    """Writes all sources; they agree with each other, and with v3 but for kd."""
+    """Write all sources, which agree with each other, and except for kd with v3."""
     package = folder / "training"
     package.mkdir(exist_ok=True)
     texts = {"training/__init__.py": "", "training/motors.py": MOTORS,

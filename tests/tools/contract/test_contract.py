@@ -1041,7 +1041,7 @@ def test_values_without_a_quoted_line_are_those_of_their_source(sources: dict[st
 
 
 def write_deployment(path: Path, **rows: object) -> Path:
-    """Writes a deployment that names the joints and states kp = 5, with changed or further rows."""
+    """Write a deployment that names the joints and states kp = 5, with changed or further rows."""
     kept = {"joint_names": format_list(JOINTS), "kps": format_list([5.0] * 12), **rows}
     path.write_text("".join(f"{key}: {row}\n" for key, row in kept.items()))
     return path

@@ -451,7 +451,7 @@ def is_free(model: mujoco.MjModel) -> bool:
 
 @pytest.fixture(scope="module")
 def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The MJCF of a quadruped."""
+    """Return the MJCF of a quadruped."""
     mjcf, found = convert_file(write_standing_urdf(tmp_path_factory.mktemp("quad")), "quad.xml")
     assert found.passed, found.failures
     return mjcf

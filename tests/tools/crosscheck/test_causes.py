@@ -265,7 +265,7 @@ def test_unrelated_differences_have_no_common_cause(tmp_path: Path) -> None:
 
 
 def offset_joint(text: str, joint: str, pos: str) -> str:
-    """An MJCF in which a joint is not in its body's origin."""
+    """Return an MJCF in which a joint is not in its body's origin."""
     assert f'<joint name="{joint}"' in text
     return text.replace(f'<joint name="{joint}"', f'<joint pos="{pos}" name="{joint}"')
 

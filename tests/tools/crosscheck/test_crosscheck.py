@@ -52,7 +52,7 @@ def test_cross_check_compares_all_documented_quantities() -> None:
 
 
 def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
-    """Returns the robot with a piece of its URDF replaced, at its first place."""
+    """Return the robot with a piece of its URDF replaced, at its first place."""
     assert old in robot.description.urdf
     path = robot.description.urdf_source
     text = robot.description.urdf.replace(old, new, 1)

@@ -47,7 +47,7 @@ def rotor(leg: int, on: str, place: tuple[float, float, float], mass: float = 0.
 
 
 def add_rotors() -> Parts:
-    """The quadruped with a rotor on each thigh, and four and a sensor on its base."""
+    """Return the quadruped with a rotor on each thigh, and four and a sensor on its base."""
     parts = quadruped()
     for leg in range(4):
         parts |= {f"thigh{leg}_rotor": rotor(leg, f"thigh{leg}", (0.01, 0.05, -0.02 * leg))}

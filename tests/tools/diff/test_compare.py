@@ -269,7 +269,7 @@ MOTORS = {name: f'<position name="{name}" joint="{name}" kp="50"/>' for name in 
 
 
 def write_two_arms(order: str, motors: str, qpos: str, ctrl: str) -> str:
-    """Returns two arms with joints and motors in an order, and a keyframe."""
+    """Return two arms with joints and motors in an order, and a keyframe."""
     return TWO_ARMS.format(
         bodies="".join(ARMS[name] for name in order),
         motors="".join(MOTORS[name] for name in motors),
@@ -433,7 +433,7 @@ def test_fixed_joint_equals_the_reduced_model_of_pinocchio(tmp_path: Path) -> No
 
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with a robot in a folder, whose MJCF has an include and a mesh."""
+    """Return a repository with a robot in a folder, whose MJCF has an include and a mesh."""
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
         monkeypatch.delenv(name, raising=False)

@@ -18,14 +18,14 @@ from tests.support.repository import ROOT
 
 
 def write_edited(folder: Path, edit: Edit) -> Path:
-    """Returns v3's MJCF with one edit."""
+    """Return v3's MJCF with one edit."""
     place = copy_mjcf(folder)
     edit.written(place)
     return place / "pupper_v3.xml"
 
 
 def rest_height(file: Path) -> float:
-    """Returns the height of the base after 2 s of bare MuJoCo from the keyframe."""
+    """Return the height of the base after 2 s of bare MuJoCo from the keyframe."""
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -135,7 +135,7 @@ FLOOR = (
 
 
 def in_a_scene(file: Path) -> Path:
-    """Returns a scene that includes a robot, with a plane at z = 0."""
+    """Return a scene that includes a robot, with a plane at z = 0."""
     scene = file.with_name("scene.xml")
     scene.write_text(
         "<mujoco><worldbody><geom type='plane' size='0 0 1' condim='3' friction='1 0.005 0.0001' "

@@ -99,7 +99,7 @@ def make_messages(arrays: dict[str, Any], order: list[str]) -> list[tuple[str, s
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Policy, dict[str, Any]]:
-    """The trotting policy and the arrays of its simulation."""
+    """Return the trotting policy and the arrays of its simulation."""
     policy = Policy.load(made.trot(tmp_path_factory.mktemp("policy") / "trot.json"))
     return policy, record_trace(load("v3"), policy, COMMANDS)
 

@@ -203,7 +203,7 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
 
 
 def check_slopes(residual: Callable[[Array], Array], columns: Array, places: Iterable[int]) -> None:
-    """Checks columns of derivatives against central differences."""
+    """Check columns of derivatives against central differences."""
     for place in places:
         step = 1e-6 * np.eye(columns.shape[1])[place]
         found = (residual(step) - residual(-step)) / 2e-6

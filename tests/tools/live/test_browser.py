@@ -79,7 +79,7 @@ class Opened:
         self.context.close()
 
     def pixels(self) -> np.ndarray:  # type: ignore[type-arg]
-        """The canvas between the panels; the robot is in its middle."""
+        """Return the pixels of the canvas between the panels, with the robot in the middle."""
         shot = self.page.locator("canvas").first.screenshot()
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
 

@@ -20,7 +20,7 @@ Array = np.ndarray
 
 
 def motion(name: str, seed: int = 0) -> tuple[Array, Array]:
-    """A qvel and a qacc (nv,) that four feet can hold."""
+    """Return a qvel and a qacc (nv,) that four feet can hold."""
     generator, robot = np.random.default_rng(seed), load(name)
     return 0.3 * generator.normal(size=robot.nv), 0.3 * generator.normal(size=robot.nv)
 

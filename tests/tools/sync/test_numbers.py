@@ -71,7 +71,7 @@ def turned(tmp_path: Path) -> Files:
 
 @pytest.fixture
 def plain(tmp_path: Path) -> Files:
-    """A pair in the same frames."""
+    """Return a pair in the same frames."""
     text = mjcf_text(quadruped()).replace("<motor", SERVO)
     return write(tmp_path, urdf_text(quadruped()), text)
 
@@ -123,7 +123,10 @@ def test_numbers_go_into_both_files_in_their_own_frames(turned: Files, tmp_path:
 
 
 def shank_of_three(thin: float) -> Parts:
-    """A shank with two heavy thin rods fixed to it, so that neither can take a great change."""
+    """Return a quadruped with two heavy thin rods fixed to a shank.
+
+    The inertials of shank and rods cannot absorb a large change.
+    """
     rod = Part("rod", "shank0", "to_rod", "fixed", (0.0, 0.01, -0.1), mass=0.3)
     rod = replace(rod, inertia=(thin, 1e-3, 1e-3, 0, 0, 0), com=(0.05, 0.0, 0.0))
     other = replace(rod, link="other", joint="to_other", position=(0.0, -0.02, -0.05))

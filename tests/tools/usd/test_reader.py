@@ -251,7 +251,7 @@ def test_usd_base_on_a_prismatic_joint_keeps_the_joint(tmp_path: Path) -> None:
 
 
 def mjcf_of(path: Path, kp: float, kd: float) -> Path:
-    """Writes the MJCF of a USD, with a servo at its hip."""
+    """Write the MJCF of a USD, with a servo at its hip."""
     spec = make_mjspec(read_usd_model(read_usd(path)))
     SpecTree(spec).add_position_servo("hip", kp, kd)
     spec.compile()

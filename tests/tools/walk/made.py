@@ -25,7 +25,7 @@ def integers(name: str, *numbers: int) -> bytes:
 
 
 def external_tensor(name: str, values: Any, location: str, **entries: int) -> bytes:
-    """A tensor whose numbers are in another file: ``offset`` and ``length`` in bytes."""
+    """Return a tensor whose numbers are in another file: ``offset`` and ``length`` in bytes."""
     array = np.asarray(values, dtype="<f4")
     data = b"".join(field(1, size) for size in array.shape) + field(2, 1) + field(8, name)
     for key, text in {"location": location, **entries}.items():

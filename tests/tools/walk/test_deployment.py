@@ -67,7 +67,7 @@ def make_deploy(**changed: str) -> str:
 
 
 def write_policy(folder: Path) -> Path:
-    """A network of two frames, the older and the newer of each term, without metadata."""
+    """Write a network with two frames (time steps) per term, without metadata."""
     draw = np.random.default_rng(1)
     weights = 0.02 * draw.normal(size=(2 * sum(SIZES), 12))
     path = folder / "policy.onnx"
@@ -395,7 +395,7 @@ def test_accelerometer_and_contacts_equal_mujoco_sensors() -> None:
 
 
 def make_term_policy(names: tuple[str, ...], feet: int = 0) -> Policy:
-    """The standing policy with other terms; its network is not evaluated."""
+    """Return the standing policy with other terms; its network is not evaluated."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:

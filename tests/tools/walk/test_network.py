@@ -171,7 +171,7 @@ def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
 
 
 def single_operators() -> dict[str, bytes]:
-    """A graph for each operator that is no layer: six observations, of which it makes actions."""
+    """Return {operator that is no layer: graph}, with six observations and the actions."""
     plain = ("Abs", "Sin", "Cos", "Erf", "Reciprocal", "Softplus", "Softsign", "Selu", "Exp", "Neg",
              "HardSigmoid", "HardSwish", "Mish", "Softmax", "Shape", "Gelu")  # fmt: skip
     made_of: dict[str, tuple[list[bytes], list[bytes]]] = {

@@ -47,7 +47,7 @@ history = 2
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Policy, dict[str, Any]]:
-    """A random network that moves all joints, and the trace of its simulation."""
+    """Return a random network that moves all joints, and the trace of its simulation."""
     folder = tmp_path_factory.mktemp("trace")
     draw = np.random.default_rng(3)
     layers = [(0.2 * draw.normal(size=(2 * sum(SIZES), 12)), 0.1 * draw.normal(size=12))]
