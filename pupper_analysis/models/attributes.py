@@ -88,7 +88,7 @@ class JointAttribute:
         return self.urdf is not None and bool(self.mjcf)
 
 
-UNSTATED = 1e9
+MIN_UNSTATED_LIMIT = 1e9
 """Value from which a limit in a file counts as unspecified: effort [N m, N], velocity [rad/s, m/s]
 or the absolute value of a position [rad, m]. Reason: the ``<limit>`` of a URDF must state finite
 numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
@@ -97,17 +97,17 @@ numbers. Chosen, not tuned: the strongest motors have 1e4 N m."""
 def known_limit(stated: float) -> float:
     """Return an effort or velocity limit of a URDF [N m, N; rad/s, m/s].
 
-    Values from ``UNSTATED`` up mean "unspecified", and become infinite.
+    Values from ``MIN_UNSTATED_LIMIT`` up mean "unspecified", and become infinite.
     """
-    return math.inf if stated >= UNSTATED else stated
+    return math.inf if stated >= MIN_UNSTATED_LIMIT else stated
 
 
 def known_limits(stated: Array) -> Array:
     """Return limits of positions, velocities or efforts; unspecified limits are infinite.
 
-    Absolute values from ``UNSTATED`` up mean "unspecified"; the sign is kept.
+    Absolute values from ``MIN_UNSTATED_LIMIT`` up mean "unspecified"; the sign is kept.
     """
-    return np.where(np.abs(stated) >= UNSTATED, np.copysign(np.inf, stated), stated)
+    return np.where(np.abs(stated) >= MIN_UNSTATED_LIMIT, np.copysign(np.inf, stated), stated)
 
 
 def _list_units(quantity: str) -> tuple[str, str]:

@@ -181,8 +181,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
 
     Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Infinite
     limits become the largest float, as for a free flyer in Pinocchio, because Pinocchio cannot read
-    infinite values of a pickled model. Efforts and velocities of at least ``UNSTATED`` mean an
-    unknown limit.
+    infinite values of a pickled model. Efforts and velocities of at least ``MIN_UNSTATED_LIMIT``
+    mean an unknown limit.
 
     Args:
         text: URDF; must be well-formed XML.

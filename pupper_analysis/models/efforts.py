@@ -29,7 +29,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH_GRAVITY, EFFORT_UNIT, select_joint_units
-from pupper_analysis.models.attributes import UNSTATED
+from pupper_analysis.models.attributes import MIN_UNSTATED_LIMIT
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.transmission import (
     actuator_gear,
@@ -251,8 +251,8 @@ def resolve_effort_limit(
     Args:
         model: MuJoCo model of the MJCF.
         joint: Id of a hinge or slide.
-        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
-            unknown.
+        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least
+            ``MIN_UNSTATED_LIMIT`` if unknown.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
         empty_range: Force range of the joint in the MJCF that permits no force (``null_efforts``),
@@ -263,7 +263,7 @@ def resolve_effort_limit(
     stated = _list_statements(model, joint, drives)
     if empty_range is not None:
         stated.insert(0, empty_range)  # as the origin, if a gear of 0 scales other ranges to 0
-    if effort is not None and effort < UNSTATED:
+    if effort is not None and effort < MIN_UNSTATED_LIMIT:
         # First, so that of two equal limits the one of the URDF is the origin.
         range_ = (-effort, effort)
         make = EffortStatement.of if effort > 0 else EffortStatement.empty
@@ -435,7 +435,7 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the limits of an actuator's force that the file states, before the gear [N or N m].
 
-    Ranges from -``UNSTATED`` to ``UNSTATED`` or more are omitted.
+    Ranges from -``MIN_UNSTATED_LIMIT`` to ``MIN_UNSTATED_LIMIT`` or more are omitted.
     """
     found, name = [], str(model.actuator(actuator).name)
     range_ = model.actuator_forcerange[actuator]
@@ -458,7 +458,7 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 def _is_unstated(range_: Sequence[float]) -> bool:
     """Return True if both ends of a range of torque or force are so large that it is no limit."""
     low, high = range_
-    return bool(low <= -UNSTATED and high >= UNSTATED)
+    return bool(low <= -MIN_UNSTATED_LIMIT and high >= MIN_UNSTATED_LIMIT)
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0

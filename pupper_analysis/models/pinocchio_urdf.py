@@ -19,7 +19,7 @@ from lxml import etree
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.attributes import UNSTATED
+from pupper_analysis.models.attributes import MIN_UNSTATED_LIMIT
 from pupper_analysis.models.urdf_tree import set_origin
 from pupper_analysis.models.xml import add_element, join_numbers, make_unique_name, to_text
 
@@ -153,8 +153,8 @@ class _UrdfWriter:
     def _add_joint(self, index: int) -> None:
         """Add a Pinocchio joint to the URDF; raise ModelError for a slide without two limits.
 
-        If a hinge has a single limit, the missing limit is written as `UNSTATED`, since a URDF has
-        no infinite numbers.
+        If a hinge has a single limit, the missing limit is written as `MIN_UNSTATED_LIMIT`, since a
+        URDF has no infinite numbers.
         """
         model = self._model
         is_flyer = self._floating and index == 1
@@ -194,7 +194,7 @@ class _UrdfWriter:
             for word, values in (("effort", model.effortLimit), ("velocity", model.velocityLimit))
         }
         if stated:
-            ends = {"lower": -UNSTATED, "upper": UNSTATED} | stated
+            ends = {"lower": -MIN_UNSTATED_LIMIT, "upper": MIN_UNSTATED_LIMIT} | stated
             limits |= {word: _format_number(end) for word, end in ends.items()}
         add_element(element, "limit", **limits)
         damping, friction = float(model.damping[dof]), float(model.friction[dof])
@@ -279,5 +279,5 @@ def _format_number(number: float) -> str:
 
 
 def _write_limit(limit: float) -> str:
-    """Return the text of an effort or velocity limit, which is bounded by `UNSTATED`."""
-    return _format_number(limit) if limit < UNSTATED else f"{UNSTATED:g}"
+    """Return the text of an effort or velocity limit, which is bounded by `MIN_UNSTATED_LIMIT`."""
+    return _format_number(limit) if limit < MIN_UNSTATED_LIMIT else f"{MIN_UNSTATED_LIMIT:g}"

@@ -20,7 +20,7 @@ from pupper_analysis.base.arrays import (
     inertia_tensor,
     make_inertia,
 )
-from pupper_analysis.models.attributes import BY_KIND, UNSTATED, JointAttribute
+from pupper_analysis.models.attributes import BY_KIND, MIN_UNSTATED_LIMIT, JointAttribute
 from pupper_analysis.models.xml import (
     NUM_ANGLE_DIGITS,
     add_element,
@@ -63,8 +63,9 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
         add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
-UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{UNSTATED:g}")
-"""{required attribute of ``<limit>`` in a URDF: text that means an unknown limit (`UNSTATED`)}."""
+UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{MIN_UNSTATED_LIMIT:g}")
+"""{required attribute of ``<limit>`` in a URDF: text of `MIN_UNSTATED_LIMIT`, for an unknown
+limit}."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from pupper_analysis.models.additions import (
     Options,
     Servo,
 )
-from pupper_analysis.models.attributes import BY_KIND, UNSTATED
+from pupper_analysis.models.attributes import BY_KIND, MIN_UNSTATED_LIMIT
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -343,7 +343,7 @@ def _remove_zero_limits(robot: Robot) -> Robot:
         return robot
     urdf = UrdfTree.of(robot.description.urdf)
     for name in null:
-        urdf.joints[name].set_parameter(BY_KIND["effort"], UNSTATED)
+        urdf.joints[name].set_parameter(BY_KIND["effort"], MIN_UNSTATED_LIMIT)
     return rebuild_robot(robot, urdf=to_text(urdf.root), null_efforts={})
 
 

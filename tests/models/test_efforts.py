@@ -16,7 +16,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.models.attributes import UNSTATED
+from pupper_analysis.models.attributes import MIN_UNSTATED_LIMIT
 from pupper_analysis.models.efforts import find_null_efforts, resolve_effort_limit
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
@@ -127,8 +127,8 @@ def arm(motor: str, joint: str = "") -> mujoco.MjModel:
         ('<position joint="turn" kp="5" ctrlrange="-2 2"/>', "", 4.0, (-4, 4), "effort"),
         ('<motor joint="turn" forcerange="-4 4"/>', "", 0.0, (0, 0), "effort"),
         ('<motor joint="turn" forcerange="-4 4"/>', "", -1.0, (0, 0), "effort"),
-        ('<motor joint="turn" forcerange="-4 4"/>', "", UNSTATED, (-4, 4), "forcerange"),
-        ('<motor joint="turn"/>', "", UNSTATED, None, None),
+        ('<motor joint="turn" forcerange="-4 4"/>', "", MIN_UNSTATED_LIMIT, (-4, 4), "forcerange"),
+        ('<motor joint="turn"/>', "", MIN_UNSTATED_LIMIT, None, None),
         ('<intvelocity joint="turn" kp="5" actrange="-1 1"/>', "", None, None, None),
         ('<motor joint="turn" ctrlrange="-4 4"/>', "", 4.0, (-4, 4), "effort"),
     ],

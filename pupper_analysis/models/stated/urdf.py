@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.inputs import read_change_time, read_input
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_limit
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, MIN_UNSTATED_LIMIT, known_limit
 from pupper_analysis.models.mesh_limits import MAX_MESH_BYTES
 from pupper_analysis.models.mesh_scenes import read_collada_asset, read_merged_mesh
 from pupper_analysis.models.places import one_line
@@ -109,15 +109,15 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
     """Return {kind, such as ``damping``: value} of the joint parameters that the file specifies.
 
-    Effort and velocity limits of `UNSTATED` or more are omitted.
+    Effort and velocity limits of `MIN_UNSTATED_LIMIT` or more are omitted.
     """
     texts = {attribute.kind: joint.parameter_text(attribute) for attribute in JOINT_ATTRIBUTES}
     found = {kind: float(text) for kind, text in texts.items() if text is not None}
-    # The reader adds values of UNSTATED to a <limit> that lacks them.
+    # The reader adds values of MIN_UNSTATED_LIMIT to a <limit> that lacks them.
     return {
         kind: value
         for kind, value in found.items()
-        if kind not in ("effort", "velocity") or value < UNSTATED
+        if kind not in ("effort", "velocity") or value < MIN_UNSTATED_LIMIT
     }
 
 

@@ -29,8 +29,8 @@ from pupper_analysis.base.units import select_joint_units
 from pupper_analysis.models.attributes import (
     COUPLING_TIME_CONSTANT,
     FLOOR_NAME,
+    MIN_UNSTATED_LIMIT,
     PASSIVE_ATTRIBUTES,
-    UNSTATED,
     AttributeValue,
 )
 from pupper_analysis.models.conversion import UrdfImport
@@ -293,7 +293,7 @@ class UrdfBodies:
             unit = select_joint_units(slides=kind == "prismatic").effort
             limit = Quantity(float(effort), unit)
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
-        if effort is not None and not 0 < float(effort) < UNSTATED:
+        if effort is not None and not 0 < float(effort) < MIN_UNSTATED_LIMIT:
             effort = None  # MuJoCo ignores an empty range; the robot's description keeps the limit
         mimic = urdf_joint.mimic
         if mimic is not None and self._is_mimic(urdf_joint):

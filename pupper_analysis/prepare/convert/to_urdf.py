@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
+from pupper_analysis.models.attributes import MIN_UNSTATED_LIMIT, PASSIVE_ATTRIBUTES
 from pupper_analysis.models.conversion import inertia_of_body, split_joint_placement
 from pupper_analysis.models.efforts import find_effort, resolve_effort_limit
 from pupper_analysis.models.mjcf import JointKind, compile_spec, has_free_joint, list_free_joints
@@ -163,7 +163,7 @@ class UrdfLinks:
         limit = add_element(
             node,
             "limit",
-            effort=join_numbers(effort if math.isfinite(effort) else UNSTATED),
+            effort=join_numbers(effort if math.isfinite(effort) else MIN_UNSTATED_LIMIT),
             velocity=join_numbers(_DEFAULT_VELOCITY_LIMIT),
         )
         efforts = resolve_effort_limit(model, joint)

@@ -16,7 +16,7 @@ import pinocchio as pin
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATED
+from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, MIN_UNSTATED_LIMIT
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml import join_numbers
@@ -28,10 +28,10 @@ from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_pa
 Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""
 
-UNKNOWN_LIMITS = {"effort": join_numbers(UNSTATED), "velocity": "1000"}
+UNKNOWN_LIMITS = {"effort": join_numbers(MIN_UNSTATED_LIMIT), "velocity": "1000"}
 """{attribute that a URDF's <limit> requires: text that is written if the URDF lacks the attribute}.
-The effort, in N m or N, means an unknown limit (`UNSTATED`). The velocity is in rad/s or m/s.
-Chosen, not tuned.
+The effort, in N m or N, means an unknown limit (`MIN_UNSTATED_LIMIT`). The velocity is in rad/s or
+m/s. Chosen, not tuned.
 """
 
 _LIMIT_KINDS = ("lower limit", "upper limit")
