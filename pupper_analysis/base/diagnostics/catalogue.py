@@ -133,8 +133,8 @@ def phrase(key: str, language: str) -> str:
             The English text replaces a missing Chinese text.
 
     Returns:
-        Template, whose placeholders the caller replaces with ``fill_template``. Empty for
-        a short form that the text does not have.
+        Template, whose placeholders the caller replaces with ``fill_template``. Empty for a short
+        form that the text does not have.
 
     Raises:
         KeyError: If there is no entry with this key.
