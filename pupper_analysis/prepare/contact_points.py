@@ -48,8 +48,8 @@ error is at most this value. Chosen, not tuned: mesh soles are tilted by roundin
 vertices."""
 
 _MAX_CORNERS = 8
-"""Upper bound of the number of contact points at the corners of a sole. The corner
-that spans the smallest triangle with its neighbours is removed first. Chosen, not tuned."""
+"""Upper bound of the number of contact points at the corners of a sole. The corner that spans the
+smallest triangle with its neighbours is removed first. Chosen, not tuned."""
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:

@@ -567,7 +567,7 @@ def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive)
     """Return True if a joint has a single position servo whose gain on ctrl is not its stiffness.
 
     Gain and stiffness must be positive, and the gain constant. The force is
-    gain * ctrl - stiffness * length, so a position command does not hold exactly this position.
+    gain * ctrl - stiffness * length: a position command does not hold exactly this position.
     """
     if not drive.has_other_law or len(actuators) != 1:
         return False
