@@ -137,8 +137,7 @@ class Closure:
         """Return the Jacobian of the loop and coupling errors (`residual`), shape (m, nu).
 
         The derivatives are by the joint positions, in actuator order; columns of joints outside of
-        loops
-        and couplings are zero.
+        loops and couplings are zero.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -140,8 +140,7 @@ def measure_joint_deviation(
     """Return the deviation of a joint and its body between two trees, as a number without unit.
 
     The result is a sum of `measure_deviation_bits`, log2(1 + deviation / tolerance), of the joint,
-    the
-    body that it moves, the frames on this body, and the placements of the child joints.
+    the body that it moves, the frames on this body, and the placements of the child joints.
 
     Args:
         first: First tree.
