@@ -76,8 +76,8 @@ class Question(StrEnum):
 
 
 LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
-"""Questions about payloads and pushes. If a torque limit is unknown, the verdict on such
-a question does not pass."""
+"""Questions about payloads and pushes. If a torque limit is unknown, the verdict on such a question
+does not pass."""
 
 
 TWO_ROBOTS_CODE = "files-of-two-robots"

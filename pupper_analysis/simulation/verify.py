@@ -207,8 +207,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
         force_error: Largest deviation of a foot force along the lift-off direction, divided by the
             larger of two forces: the prediction, and ``MIN_FORCE_SCALE`` times the load on all
-            feet. For a grip, the force vectors are compared. None without stance feet
-            and grips.
+            feet. For a grip, the force vectors are compared. None without stance feet and grips.
         mujoco_residual: Largest magnitude in g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
         stability: Growing modes and stability margin of the settled state; of the initial state if
