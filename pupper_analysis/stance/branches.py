@@ -46,8 +46,7 @@ depends on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
 """Step [rad or m] to which joint distances of combined IK branches are rounded before sorting, so
-that
-the order rarely depends on rounding errors. Chosen, not tuned.
+that the order rarely depends on rounding errors. Chosen, not tuned.
 """
 
 _MAX_BRANCHES = 6

@@ -62,8 +62,8 @@ class Constraint:
         An equality is satisfied if all elements are zero, an inequality if no element is negative.
 
         Args:
-            targets: Targets of the constructor, or a copy with relaxed
-                values, such as foot targets, base pose, CoM target or margins.
+            targets: Targets of the constructor, or a copy with relaxed values, such as foot
+                targets, base pose, CoM target or margins.
             at: Kinematics of the configuration.
         """
         raise NotImplementedError
