@@ -1,9 +1,9 @@
 """Write the repairs of an audit into the files: a patch, and the changed bytes.
 
 Inputs are audits. Only repairs of findings with a single repair are applied. A repair that
-estimates a value (`ValueRepair.is_estimate`) is not applied. Attribute values
-are replaced, and missing attributes and elements inserted, in the bytes of the file, so that all
-other bytes stay. Files with uncommitted changes in git are written only if forced.
+estimates a value (`ValueRepair.is_estimate`) is not applied. Attribute values are replaced, and
+missing attributes and elements inserted, in the bytes of the file, so that all other bytes stay.
+Files with uncommitted changes in git are written only if forced.
 """
 
 from __future__ import annotations

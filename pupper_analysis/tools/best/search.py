@@ -75,9 +75,8 @@ tuned."""
 
 _SLACK_REDUCTION = 1e-6
 """Amount by which the nonlinear program reduces the scaled slacks (distances from the bounds) of
-its
-constraints, so that descents end at stances without violations despite SLSQP's tolerance. The slack
-of the penetration is not reduced. Chosen, not tuned.
+its constraints, so that descents end at stances without violations despite SLSQP's tolerance. The
+slack of the penetration is not reduced. Chosen, not tuned.
 """
 
 _CONSTRAINT_PENALTY = 10.0

@@ -70,8 +70,7 @@ FIELD_TABLE: Final[Mapping[str, Any]] = tomllib.loads(
     Path(__file__).with_name("fields.toml").read_text("utf-8")
 )
 """Content of ``fields.toml``: the compared quantities, such as kp, and the names of keys in each
-file
-format.
+file format.
 """
 
 KEY_ALIASES: Final[Mapping[str, list[str]]] = FIELD_TABLE["names"]

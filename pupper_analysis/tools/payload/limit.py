@@ -195,9 +195,9 @@ class PayloadLimit(Tabular):
             ``unknown`` and ``upper_bound`` is not 0.
         upper_bound: Smallest of the four bounds [kg]; motors with an unknown torque limit set no
             bound.
-        code: ``unknown`` if a loaded motor has an unknown torque limit, or if the
-            stance holds and a moving link has an unknown mass; else ``zero`` if a motor has no
-            torque, else ``stated``.
+        code: ``unknown`` if a loaded motor has an unknown torque limit, or if the stance holds and
+            a moving link has an unknown mass; else ``zero`` if a motor has no torque, else
+            ``stated``.
         binding: Name of the smallest bound: ``stance``, ``motors``, ``servos`` or ``simulation``.
         stance: Bound of the stance: a larger mass has no loaded stand within reach and in balance,
             or brings another part of the robot to the ground.

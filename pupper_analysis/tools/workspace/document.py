@@ -302,6 +302,5 @@ _ROW_HEIGHT, _PANEL_HEIGHT = 0.3, 0.7
 
 _LABEL_MARGIN = 0.3
 """Free width on each side of the bars of a panel for the labels of the limits, relative to the
-common
-range of the bars. Chosen, not tuned.
+common range of the bars. Chosen, not tuned.
 """

@@ -1,8 +1,7 @@
 """Logs of motions: joint commands and measured positions over time.
 
-A log is read from a CSV file, and contains a row per sample. The times and the
-completeness of the columns are checked when a log is read. `inspect_log` checks whether a log fits
-a robot.
+A log is read from a CSV file, and contains a row per sample. The times and the completeness of the
+columns are checked when a log is read. `inspect_log` checks whether a log fits a robot.
 """
 
 from __future__ import annotations

@@ -340,8 +340,7 @@ class Simulator:
         To second order, a first-order lag of positions with time constant T is equivalent to a
         damping of -kp T and an armature of kp T^2. The derivative by T is the sum of -kp D + 2 kp T
         A over the joints, with the derivatives D by the damping and A by the armature of a joint.
-        Nothing changes if a joint with parameters
-        lacks damping or armature as a parameter.
+        Nothing changes if a joint with parameters lacks damping or armature as a parameter.
 
         Args:
             vector: Parameters, shape (n,).
