@@ -113,8 +113,8 @@ def test_a_tool_may_be_a_link_or_a_site() -> None:
 
 
 def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
-    """References: closed-form elbow torque, 2 % above and below the effort limit. With
-    half of this torque as the limit, there is no equilibrium without feed-forward.
+    """References: closed-form elbow torque, 2 % above and below the effort limit. With half of this
+    torque as the limit, there is no equilibrium without feed-forward.
     """
     needs = abs(by_hand.holding_torques(0.0, 0.0, 0.5, 0.1)["elbow"])
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
