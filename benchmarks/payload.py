@@ -1,8 +1,8 @@
 """Payload of each variant: `python benchmarks/payload.py` prints a table.
 
 For the nominal and the best stance, the table contains the bounds by motors, servos and reach; the
-smallest is the payload. MuJoCo then simulates this payload for 12 s, with nudges in
-all directions. At most half a minute per variant.
+smallest is the payload. MuJoCo then simulates this payload for 12 s, with nudges in all directions.
+At most half a minute per variant.
 """
 
 from __future__ import annotations

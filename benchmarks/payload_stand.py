@@ -10,8 +10,8 @@ judges 0, 30, 60, 97 and 103 % of this limit. Some robots also stand with one fo
 vertical wall or a bar, and every robot with two kinds of contact that are drawn from ``DRAWN``. A
 row of the table is consistent if `stand` holds up to 97 % of the limit, and fails or has no stance
 at 103 %.
-Rows are written to `docs/data/payload-stand.csv` as soon as a robot is
-finished; a further run omits robots with a row, unless `--again` is given.
+Rows are written to `docs/data/payload-stand.csv` as soon as a robot is finished; a further run
+omits robots with a row, unless `--again` is given.
 """
 
 from __future__ import annotations
