@@ -176,8 +176,7 @@ def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
 
 MIN_LINK_LENGTH = 0.03
 """Smallest distance between two joints of a link [m] from which the position of the link's shapes
-is checked. Also the smallest length with which the extent of the shapes is compared. Chosen, not
-tuned.
+is checked. Chosen, not tuned.
 """
 
 MIN_ALIGNMENT_COSINE = 0.966
