@@ -121,10 +121,10 @@ def find_similar_files(path: Path) -> list[Path]:
     return [path.parent / name for name in similar]
 
 
-def name_files(one: str | Path, other: str | Path) -> tuple[str, str]:
+def name_files(first: str | Path, second: str | Path) -> tuple[str, str]:
     """Return the names of two files without their folders; the paths if the names are equal."""
-    names = Path(one).name, Path(other).name
-    return names if names[0] != names[1] else (str(one), str(other))
+    names = Path(first).name, Path(second).name
+    return names if names[0] != names[1] else (str(first), str(second))
 
 
 def is_input(path: Path) -> bool:
