@@ -317,20 +317,20 @@ def make_second_model_error(command: Command, present: Path) -> click.UsageError
     return error
 
 
-def complete_comparison_command(one: Path, other: Path, *, related: bool) -> str:
+def complete_comparison_command(first: Path, second: Path, *, related: bool) -> str:
     """Create the command line after the refusal of two files of one format in `crosscheck`, `sync`.
 
     Args:
-        one: First typed file.
-        other: Second typed file.
+        first: First typed file.
+        second: Second typed file.
         related: True if the files share names of joints, so that they may be versions of a robot.
 
     Returns:
         `diff` of related files; otherwise the line after the refusal of a single file.
     """
     if not related:
-        return complete_pair_command(one)
-    return complete_command(NextStep("diff", (str(one), str(other)), robot_typed=False))
+        return complete_pair_command(first)
+    return complete_command(NextStep("diff", (str(first), str(second)), robot_typed=False))
 
 
 def complete_pair_command(present: Path, missing: Path | None = None) -> str:

@@ -1013,7 +1013,7 @@ MODEL_FILE = ModelFileType()
 """Type of a command-line parameter that is a model file, or ``-`` for standard input."""
 
 
-def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
+def sort_model_paths(first: Path, second: Path) -> tuple[Path, Path]:
     """Sort two model files by format: the URDF first. The user may type both in any order.
 
     A path may be the name of a variant of the package's own robot (such as ``v3``), which has both
@@ -1031,14 +1031,14 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     from pupper_analysis.pupper.named_robots import is_variant
 
     tags, joints = [], []
-    for path in (one, other):
+    for path in (first, second):
         if is_variant(path):
             tags.append("")
             continue
         try:
             root = parse_xml(find_file(path))[1]
         except ModelError:
-            return one, other
+            return first, second
         tags.append(root.tag)
         joints.append({joint.get("name") for joint in root.iter("joint")} - {None})
     kinds_by_tag = {"robot": "URDF", "mujoco": "MJCF"}
@@ -1048,12 +1048,12 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
         from pupper_analysis.base.inputs import name_files
         from pupper_analysis.cli.next_step import complete_comparison_command
 
-        error = ConfigurationError(", ".join(name_files(one, other)), problem)
+        error = ConfigurationError(", ".join(name_files(first, second)), problem)
 
-        related = one != other and not joints[0].isdisjoint(joints[1])
-        error.add_note(complete_comparison_command(one, other, related=related))
+        related = first != second and not joints[0].isdisjoint(joints[1])
+        error.add_note(complete_comparison_command(first, second, related=related))
         raise error
-    return (other, one) if tags[0] == "mujoco" or tags[1] == "robot" else (one, other)
+    return (second, first) if tags[0] == "mujoco" or tags[1] == "robot" else (first, second)
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
