@@ -981,21 +981,21 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
     return replace(robot, home=qpos, stand_height=round(height - sunk, 9) if sunk else height)
 
 
-def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Return a copy of ``whole`` with the start pose and nominal joint positions of ``posed``.
+def _copy_start_pose(source: Robot, posed: Robot) -> Robot:
+    """Return a copy of ``source`` with the start pose and nominal joint positions of ``posed``.
 
     The start pose becomes a keyframe of the MJCF. Both robots must have the same joints.
     """
-    spec = whole.description.mjcf.copy()
-    data = mujoco.MjData(whole.mj_model)
+    spec = source.description.mjcf.copy()
+    data = mujoco.MjData(source.mj_model)
     home = posed.home.copy()
     home[:7] = (0.0, 0.0, posed.stand_height, 1.0, 0.0, 0.0, 0.0)
-    whole.mj_convention.set_state(data, home)
+    source.mj_convention.set_state(data, home)
     SpecTree(spec).set_home(data.qpos)
     nominal = dict(zip(posed.joint_names, posed.nominal.tolist(), strict=True))
     return replace(
-        whole,
-        description=replace(whole.description, mjcf=spec, nominal=nominal),
+        source,
+        description=replace(source.description, mjcf=spec, nominal=nominal),
         home=home,
         nominal=posed.nominal,
         stand_height=posed.stand_height,
