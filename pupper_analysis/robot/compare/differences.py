@@ -657,43 +657,46 @@ def _format_value(value: Any, unit: str) -> Any:
 
 
 def changes_between(
-    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMAT_NAMES
+    first: MultibodyTree,
+    second: MultibodyTree,
+    tolerances: Tolerances,
+    sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
     """Yield the differences of two multibody trees that exceed the tolerances, value by value.
 
     Armatures are compared only between two files of the same format.
 
     Args:
-        one: First tree (URDF).
-        two: Second tree, with the same names of bodies, joints and frames.
+        first: First tree (URDF).
+        second: Second tree, with the same names of bodies, joints and frames.
         tolerances: Tolerances of the comparison.
         sides: Names of the two models in messages.
     """
-    for name, body in one.bodies.items():
-        yield from body_changes(name, body, two.bodies[name], tolerances, sides)
-    for name, joint in one.joints.items():
-        yield from _compare_joints(name, joint, two.joints[name], tolerances, sides)
-    if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
+    for name, body in first.bodies.items():
+        yield from body_changes(name, body, second.bodies[name], tolerances, sides)
+    for name, joint in first.joints.items():
+        yield from _compare_joints(name, joint, second.joints[name], tolerances, sides)
+    if float(np.linalg.norm(second.gravity - first.gravity)) > tolerances.gravity:
         code = "gravity-differs" if sides.alike else "gravity-stated"
-        gravities = one.gravity, two.gravity
+        gravities = first.gravity, second.gravity
         yield change_of(code, "gravity", None, gravities, "m/s^2", sides, element="option")
-    free_joint, damping = ("body", one.base), (one.base_damping, two.base_damping)
+    free_joint, damping = ("body", first.base), (first.base_damping, second.base_damping)
     if abs(damping[1] - damping[0]) > tolerances.damping * max(damping):
         yield change_of(
             "free-joint-damping-differs", "damping", free_joint, damping, "N s/m", sides
         )
     # Between formats, `attribution.armature_differences` reports armature.
-    if sides.alike and two.base_armature != one.base_armature:
-        armature, unit = (one.base_armature, two.base_armature), "kg and kg m^2"
+    if sides.alike and second.base_armature != first.base_armature:
+        armature, unit = (first.base_armature, second.base_armature), "kg and kg m^2"
         yield change_of(
             "free-joint-armature-differs", "armature", free_joint, armature, unit, sides
         )
-    for name, (owner, position) in one.frames.items():
-        other_owner, other_position = two.frames[name]
+    for name, (owner, position) in first.frames.items():
+        other_owner, other_position = second.frames[name]
         distance, subject = float(np.linalg.norm(other_position - position)), ("frame", name)
         if owner != other_owner:
             code, places = "frame-on-other-body", (position, other_position)
-            links = one.bodies[owner].link, two.bodies[other_owner].link
+            links = first.bodies[owner].link, second.bodies[other_owner].link
             yield change_of(code, "frame", subject, places, "m", sides, shown=links)
         elif distance > tolerances.position:
             details = {"distance": Quantity(distance, "m")}
@@ -723,8 +726,8 @@ def apply_changes(
 
 def body_changes(
     name: str,
-    one: TreeBody,
-    two: TreeBody,
+    first: TreeBody,
+    second: TreeBody,
     tolerances: Tolerances,
     sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
@@ -734,28 +737,28 @@ def body_changes(
 
     Args:
         name: Name of the compared body: the joint that moves the body, or the base.
-        one: Body of the first model (URDF).
-        two: Body of the second model (MJCF), in the same frame.
+        first: Body of the first model (URDF).
+        second: Body of the second model (MJCF), in the same frame.
         tolerances: Tolerances of the comparison.
         sides: Names of the two models in messages.
     """
-    body = ("link", one.link or two.link or name)
-    mass = one.mass, two.mass
-    if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):
+    body = ("link", first.link or second.link or name)
+    mass = first.mass, second.mass
+    if abs(second.mass - first.mass) > tolerances.mass * max(map(abs, mass)):
         guess = {"guess": describe_ratio(*mass)}
         yield change_of("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
-    distance = float(np.linalg.norm(two.com - one.com))
+    distance = float(np.linalg.norm(second.com - first.com))
     if distance > tolerances.com and any(mass):
-        coms, details = (one.com, two.com), {"distance": Quantity(distance, "m")}
+        coms, details = (first.com, second.com), {"distance": Quantity(distance, "m")}
         yield change_of("com-differs", "com", body, coms, "m", sides, details, element=name)
-    scale = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
-    differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * scale
+    scale = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()))
+    differs = np.abs(second.inertia - first.inertia) > tolerances.inertia * scale
     if differs.any():
         entries = []
         for label, indices in INERTIA_ENTRIES.items():
             first_value, second_value = (
                 _clear_rounding(float(tensor[indices]), scale)
-                for tensor in (one.inertia, two.inertia)
+                for tensor in (first.inertia, second.inertia)
             )
             if differs[indices]:
                 values = {
@@ -771,7 +774,7 @@ def body_changes(
                     )
                 )
         message = diagnose("inertia-differs", subject=body, entries=entries)
-        yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", message)
+        yield Change("inertia", name, first.inertia, second.inertia, "kg m^2", message)
 
 
 def _clear_rounding(value: float, scale: float) -> float:
@@ -785,22 +788,24 @@ fraction of the largest entry. Chosen, not tuned."""
 
 
 def _compare_joints(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
+    name: str, first: TreeJoint, second: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     """Yield the differences of two joints: parent, type, placement, axis and parameters."""
     subject = "joint", name
-    if one.parent != two.parent:
-        yield change_of("parent-differs", "parent", subject, (one.parent, two.parent), "", sides)
-    if one.slides != two.slides:
-        kinds = ("prismatic", "revolute") if one.slides else ("revolute", "prismatic")
+    if first.parent != second.parent:
+        yield change_of(
+            "parent-differs", "parent", subject, (first.parent, second.parent), "", sides
+        )
+    if first.slides != second.slides:
+        kinds = ("prismatic", "revolute") if first.slides else ("revolute", "prismatic")
         shown = Term(kinds[0]), Term(kinds[1])
         yield change_of("joint-type-differs", "type", subject, kinds, "", sides, shown=shown)
-    places = one.position, two.position
-    distance = float(np.linalg.norm(two.position - one.position))
+    places = first.position, second.position
+    distance = float(np.linalg.norm(second.position - first.position))
     if distance > tolerances.position:
         details = {"distance": Quantity(distance, "m")}
         yield change_of("joint-position-differs", "position", subject, places, "m", sides, details)
-    rotation_vector = pin.log3(one.rotation.T @ two.rotation)
+    rotation_vector = pin.log3(first.rotation.T @ second.rotation)
     angle = float(np.linalg.norm(rotation_vector))
     if angle > tolerances.rotation:
         message = diagnose(
@@ -808,16 +813,16 @@ def _compare_joints(
             subject=subject,
             angle=Quantity(angle, "rad"),
             axis=Vector.rounded(rotation_vector / angle),
-            about_its_axis=abs(float(rotation_vector @ one.axis)) > (1 - 1e-6) * angle,
-            guess=guess_quaternion_order(one.rotation, two.rotation),
+            about_its_axis=abs(float(rotation_vector @ first.axis)) > (1 - 1e-6) * angle,
+            guess=guess_quaternion_order(first.rotation, second.rotation),
         )
-        yield Change("rotation", name, one.rotation, two.rotation, "1", message)
-    between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
-    if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
+        yield Change("rotation", name, first.rotation, second.rotation, "1", message)
+    between = math.acos(min(1.0, max(-1.0, float(first.axis @ second.axis))))
+    if float(np.linalg.norm(np.cross(first.axis, second.axis))) > tolerances.axis or between > 1.0:
         code = "axis-reversed" if between > math.pi - tolerances.axis else "axis-turned"
-        axes, details = (one.axis, two.axis), {"angle": Quantity(between, "rad")}
+        axes, details = (first.axis, second.axis), {"angle": Quantity(between, "rad")}
         yield change_of(code, "axis", subject, axes, "1", sides, details)
-    yield from _compare_joint_parameters(name, one, two, tolerances, sides)
+    yield from _compare_joint_parameters(name, first, second, tolerances, sides)
 
 
 def _compare_joint_parameters(

@@ -567,7 +567,7 @@ def _unify_joints(
 
 def copy_unstated_values(
     root: etree._Element,
-    theirs: Mapping[str, TreeJoint],
+    mjcf_joints: Mapping[str, TreeJoint],
     unknown: Mapping[str, tuple[str, ...]],
     pairs: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
@@ -577,7 +577,7 @@ def copy_unstated_values(
 
     Args:
         root: Root element of the URDF, with the MJCF's joint names; modified.
-        theirs: {name: joint of the MJCF}.
+        mjcf_joints: {name: joint of the MJCF}.
         unknown: {kind: joints} of values that the URDF states as unknown (`UrdfFile.unknown`).
         pairs: {joint in the URDF file: joint in the MJCF}.
 
@@ -596,11 +596,11 @@ def copy_unstated_values(
         return dict.fromkeys(copied, ())
     effort = BY_KIND["effort"]
     for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
-        if name in theirs and math.isfinite(theirs[name].effort):
-            UrdfTree(root).joints[name].set_parameter(effort, theirs[name].effort)
+        if name in mjcf_joints and math.isfinite(mjcf_joints[name].effort):
+            UrdfTree(root).joints[name].set_parameter(effort, mjcf_joints[name].effort)
     for joint in incomplete:
-        for attribute in optional if joint.name in theirs else ():
-            value = float(getattr(theirs[joint.name], attribute.field))
+        for attribute in optional if joint.name in mjcf_joints else ():
+            value = float(getattr(mjcf_joints[joint.name], attribute.field))
             if value and joint.parameter_text(attribute) is None:
                 joint.set_parameter(attribute, value)
                 copied[attribute.kind].append(joint.name)

@@ -122,7 +122,7 @@ words."""
 
 
 def match_without_affixes(
-    mine: Sequence[str], theirs: Sequence[str], pairs: Mapping[str, str]
+    urdf_names: Sequence[str], mjcf_names: Sequence[str], pairs: Mapping[str, str]
 ) -> dict[str, str]:
     """Match names that are equal except for prefixes (``panda_``) and suffixes (``_joint``).
 
@@ -130,16 +130,16 @@ def match_without_affixes(
     and unique among the unmatched names of each file.
 
     Args:
-        mine: Names in the URDF.
-        theirs: Names in the MJCF.
+        urdf_names: Names in the URDF.
+        mjcf_names: Names in the MJCF.
         pairs: {name in the URDF: name in the MJCF} of names that are matched already.
 
     Returns:
         {name in the URDF: name in the MJCF} of the new matches.
     """
-    urdf_cores = _find_cores([name for name in mine if name not in pairs], mine)
+    urdf_cores = _find_cores([name for name in urdf_names if name not in pairs], urdf_names)
     taken = set(pairs.values())
-    mjcf_cores = _find_cores([name for name in theirs if name not in taken], theirs)
+    mjcf_cores = _find_cores([name for name in mjcf_names if name not in taken], mjcf_names)
     return {urdf_cores[core]: mjcf_cores[core] for core in urdf_cores if core in mjcf_cores}
 
 
