@@ -105,21 +105,21 @@ class SolidPair(NamedTuple):
 
 
 def measure_distance(
-    one: coal.CollisionGeometry,
-    at: coal.Transform3s,
-    other: coal.CollisionGeometry,
-    there: coal.Transform3s,
+    first: coal.CollisionGeometry,
+    first_pose: coal.Transform3s,
+    second: coal.CollisionGeometry,
+    second_pose: coal.Transform3s,
 ) -> coal.DistanceResult:
     """Compute the distance [m] of two collision shapes, with nearest points, in the world frame.
 
     Args:
-        one: First shape.
-        at: Pose of the first shape in the world.
-        other: Second shape.
-        there: Pose of the second shape in the world.
+        first: First shape.
+        first_pose: Pose of the first shape in the world.
+        second: Second shape.
+        second_pose: Pose of the second shape in the world.
     """
     result = coal.DistanceResult()
-    coal.distance(one, at, other, there, coal.DistanceRequest(), result)
+    coal.distance(first, first_pose, second, second_pose, coal.DistanceRequest(), result)
     return result
 
 

@@ -113,14 +113,14 @@ class BaseOrientation(Constraint):
         return angle_between(targets.base_quaternion, at.qpos[3:7].tolist())
 
 
-def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
+def angle_between(first: Sequence[float], second: Sequence[float]) -> float:
     """Return the angle of the rotation between two orientations, 0 to pi [rad].
 
     Args:
-        one: Unit quaternion (w, x, y, z).
-        other: Unit quaternion (w, x, y, z).
+        first: Unit quaternion (w, x, y, z).
+        second: Unit quaternion (w, x, y, z).
     """
-    (a, b, c, d), (w, x, y, z) = one, other
+    (a, b, c, d), (w, x, y, z) = first, second
     return 2 * math.atan2(
         math.hypot(
             a * x - b * w - c * z + d * y,

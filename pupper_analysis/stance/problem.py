@@ -453,20 +453,20 @@ def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
     )
 
 
-def _have_equal_limits(one: StandTask, other: StandTask) -> bool:
+def _have_equal_limits(first: StandTask, second: StandTask) -> bool:
     """Return True if two tasks have equal joint margins, and equal postures in equal order."""
-    postures = [*one.posture.items()] == [*other.posture.items()]
-    return one.joint_margin == other.joint_margin and postures
+    postures = [*first.posture.items()] == [*second.posture.items()]
+    return first.joint_margin == second.joint_margin and postures
 
 
-def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
+def _have_equal_feet(first: StandTask, second: StandTask) -> bool:
     """Return True if two tasks have equal ground, contacts, foot positions and swing heights."""
-    return (one.ground, one.feet, one.foot_offsets, one.swing, one.contacts) == (
-        other.ground,
-        other.feet,
-        other.foot_offsets,
-        other.swing,
-        other.contacts,
+    return (first.ground, first.feet, first.foot_offsets, first.swing, first.contacts) == (
+        second.ground,
+        second.feet,
+        second.foot_offsets,
+        second.swing,
+        second.contacts,
     )
 
 

@@ -278,7 +278,7 @@ def _depends_on_start(targets: StandTargets) -> bool:
     return task.ik_seed is not None or task.self_clearance is not None or targets.com_is_free
 
 
-def _measure_joint_distance(one: Array, other: Array) -> float:
+def _measure_joint_distance(first: Array, second: Array) -> float:
     """Return the norm of the joint displacement between two configurations, (nq,) each [rad, m]."""
-    between = (one - other)[7:]
+    between = (first - second)[7:]
     return math.sqrt(between.dot(between))
