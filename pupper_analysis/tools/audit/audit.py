@@ -112,11 +112,11 @@ def _run_rules(
     file: ModelFile,
     robot: RobotModel,
     unwanted: tuple[str, ...],
-    theirs: Mapping[str, Check],
+    extra_checks: Mapping[str, Check],
 ) -> Audit:
     """Run the checks of the rules for the format of a model, and collect the findings.
 
-    ``theirs`` is {rule id: additional check} of the reader of a further format, such as USD.
+    ``extra_checks`` is {rule id: check} of the reader of a further format, such as USD.
     """
     findings, run = [], []
     for rule in RULES.values():
@@ -125,7 +125,7 @@ def _run_rules(
         run.append(rule.id)
         checks = [
             checks_by_rule[rule.id]
-            for checks_by_rule in (CHECKS, theirs)
+            for checks_by_rule in (CHECKS, extra_checks)
             if rule.id in checks_by_rule
         ]
         findings += [

@@ -186,9 +186,9 @@ class NewMjcf(MjcfXml):
             forcerange=None if limits is None else " ".join(map(format_xml_value, limits)),
         )
 
-    def exclude_contact(self, one: str, two: str) -> None:
+    def exclude_contact(self, first: str, second: str) -> None:
         """Exclude contacts between two bodies, by their names."""
-        add_element(self.section("contact"), "exclude", body1=one, body2=two)
+        add_element(self.section("contact"), "exclude", body1=first, body2=second)
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
         """Disable all contacts of the named geoms."""

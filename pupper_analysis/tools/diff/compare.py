@@ -450,12 +450,14 @@ class _Comparison:
         )
 
 
-def _find_edited_masses(one: Version, two: Version) -> dict[str, tuple[float, float]]:
+def _find_edited_masses(
+    old_version: Version, new_version: Version
+) -> dict[str, tuple[float, float]]:
     """Return {link: (old, new) stated mass [kg]} of the masses that differ.
 
     Empty if a stated CoM, a stated moment of inertia or the set of links differs.
     """
-    old, new = one.inertials, two.inertials
+    old, new = old_version.inertials, new_version.inertials
     is_same_otherwise = old.keys() == new.keys() and all(
         np.array_equal(old[link].com, new[link].com)
         and np.array_equal(old[link].inertia, new[link].inertia)
