@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
-    """Return the line that says that only the quick tests run."""
+    """Return the line which reports that only the quick tests run."""
     if config.option.markexpr == "not slow":
         return "quick tests only (-m 'not slow'); make test-all runs all tests"
     return None

@@ -319,7 +319,7 @@ def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
                 try:
                     time.sleep(30)
                 finally:
-                    time.sleep(1)  # what is tidied up is not disturbed
+                    time.sleep(1)  # the cleanup is not interrupted
                     swallowed += 1
             except ProcessEnded:
                 ending.caught = True

@@ -525,7 +525,7 @@ def test_a_robot_without_a_tie_has_no_message_about_ties(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_unknown_torque_limits_matter_as_soon_as_the_robot_carries_more(tmp_path: Path) -> None:
-    """The MJCF states no torque limit. A stand holds without a payload; with one, nobody knows."""
+    """The MJCF states no torque limit. A stand holds without payload; unknown with payload."""
     robot = pa.load_robot(mjcf=slips.standing(tmp_path).mjcf)
     loaded = with_payload(robot, 0.2, (0.0, 0.0, 0.0))
     found = [judge_stand(model, pa.solve_stand(model)) for model in (robot, loaded)]

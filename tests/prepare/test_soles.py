@@ -75,7 +75,7 @@ def test_mesh_sole_gets_spheres_at_its_corners(tmp_path: Path) -> None:
     soles = np.array([places[point] for point in robot.feet["left_tilt_link"]])
     tilt = pa.Configuration(robot, robot.neutral()).joint_position("left_tilt")
     np.testing.assert_allclose(soles[:, 2] - tilt[2], -0.06 + 2e-3, atol=1e-9)
-    assert 0.17 < np.ptp(soles[:, 0]) < 0.18  # the corners are inside of what is round
+    assert 0.17 < np.ptp(soles[:, 0]) < 0.18  # the corners are inside the round ends
     verify_held_stand(robot, within=1e-5)
     # Uneven loads: the depths that a plane leaves are those of a law that is no line.
     verify_held_stand(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)

@@ -34,7 +34,7 @@ def test_mass_and_inertia_do_not_change_without_visuals() -> None:
     assert (original.ngeom, model.ngeom) == (3, 2)
     np.testing.assert_allclose(model.body_mass, original.body_mass, rtol=1e-14)
     np.testing.assert_allclose(model.body_inertia, original.body_inertia, rtol=1e-12)
-    assert len(spec.geoms) == 3  # what is compiled is a copy
+    assert len(spec.geoms) == 3  # a copy of the spec is compiled
 
 
 def test_visuals_are_kept_in_a_fluid() -> None:

@@ -383,7 +383,7 @@ def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Pa
     assert page.evaluate(parts) == [True, False]
     wide = "[...document.querySelectorAll('.scroll')].every((e) => e.scrollWidth <= e.clientWidth)"
     assert page.evaluate(wide)
-    for _ in range(2):  # a preview asks twice
+    for _ in range(2):  # a preview sends the event twice
         page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert page.evaluate(parts) == [True, True]
     page.emulate_media(media="print")

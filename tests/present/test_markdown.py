@@ -129,7 +129,7 @@ def test_names_with_markup_are_escaped(name: str) -> None:
     )
     evil = Document(said, said, blocks, True, said, findings=(said,), notes=(said,))
     shown = write_markdown(Report(said, (replace(evil, passed=False),)))
-    # What is between fences and ticks is shown letter by letter.
+    # Text between fences and ticks is displayed literally.
     outside = re.sub(r"```diff\n.*?```|` .*? `", "", shown, flags=re.S)
     plain = re.sub(r"\\[\\`*_\[\]<>#|~&$]", "", outside)
     assert not re.search(r"[@#]\w|GH-\d|:\w+:|https?://|www\.", plain.replace(r"\#", ""))

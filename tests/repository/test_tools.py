@@ -65,7 +65,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT, copy, ignore=left_out)
     shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
     shutil.copytree(ROOT / "docs/data", copy / "docs/data")  # tables that are tests
-    shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # which knows who imports whom
+    shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # computes the imports
     assert compileall.compile_dir(copy / "pupper_analysis", quiet=1)
     return copy
 

@@ -66,7 +66,9 @@ def test_wrapper_is_loaded_once_per_structure(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(solver, "_wrapper_pool", {})
     monkeypatch.setattr(solver, "_load_wrapper", counted)
-    monkeypatch.setattr("pupper_analysis.robot.robot._MAX_POOL_SIZE", 0)  # of each robot asked last
+    monkeypatch.setattr(
+        "pupper_analysis.robot.robot._MAX_POOL_SIZE", 0
+    )  # the pool keeps no unused object
     for scale in np.linspace(0.9, 1.1, 8):
         robot = pa.load_variant(pa.pupper.VariantSpec("v3", float(scale)))
         SearchContext(robot)

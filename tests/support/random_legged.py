@@ -111,7 +111,7 @@ def draw_robot(seed: int) -> Robot:
                 where=str(random.choice(["both", "urdf", "mjcf"])),
             )
         )  # fmt: skip
-        if robot.links[-1].where != "both":  # what has weight in one file alone is told, and fails
+        if robot.links[-1].where != "both":  # a mass in a single file is reported, and fails
             robot.links[-1].mass = 1e-4 * robot.base_mass
         robot.said.append(f"tail in {robot.links[-1].where}")
     robot.height = 0.02 + 2 * size * math.cos(0.6) + (0.05 if flat else 0.0)

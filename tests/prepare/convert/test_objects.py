@@ -290,8 +290,9 @@ def test_spec_with_other_compiler_settings_attached_is_read_from_its_model() -> 
 
 @pytest.mark.parametrize("mass", ['mass="0.4"', 'density="400"'])
 def test_meshes_of_a_robot_that_is_attached_to_a_scene_are_read(mass: str, tmp_path: Path) -> None:
-    """A scene, as of mjlab: MuJoCo knows the folder of the attached meshes, its API does not state
-    it. Reference: MuJoCo's mass, and size of its mesh [m].
+    """A scene, as of mjlab: MuJoCo's API does not return the folder of the attached meshes.
+
+    Reference: MuJoCo's mass, and size of its mesh [m].
     """
     (tmp_path / "parts").mkdir()
     trimesh.creation.box((0.1, 0.2, 0.05)).export(tmp_path / "parts" / "box.stl")

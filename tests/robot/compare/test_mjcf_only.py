@@ -365,7 +365,7 @@ def test_passive_force_is_the_first_difference_and_engines_agree(kind: str, tmp_
     edges = {q.name: q.edge_deviations for q in comparison.check.quantities}["forward dynamics"]
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
-    # What is a joint's is a difference of the models; what a URDF cannot state has its own side.
+    # Joint parameters are a difference of the models; parameters that a URDF cannot state are not.
     assert edges["models (MuJoCo)" if kind == "motor damping" else EXTRAS_EDGE] > 1e-6
 
 

@@ -243,7 +243,7 @@ def test_joints_are_matched_without_common_prefix_and_suffix(tmp_path: Path) -> 
         name: replace(part, joint=f"rh_{part.joint}_joint" if part.joint else "")
         for name, part in quadruped().items()
     }
-    # Twins at one place: structure would not tell which is which.
+    # Twins at the same place: the structure does not distinguish the twins.
     twins = twins_at_one_place()
     named = rename_joints(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
     comparison = compare_files(write_parts(tmp_path, urdf | named, quadruped() | twins))
@@ -283,7 +283,7 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
     }
     with pytest.raises(ModelError, match="only 1 of 8 joints match a joint") as raised:
         compare_files(write_parts(tmp_path, urdf, rename_links(mjcf)))
-    assert "..." not in str(raised.value)  # what is printed can be pasted
+    assert "..." not in str(raised.value)  # the printed words can be pasted
     assert "without likely match: xknee0, xhip1" in str(raised.value)
 
 
@@ -349,7 +349,7 @@ def test_base_mass_is_no_cause_if_the_base_is_fused_with_the_world(tmp_path: Pat
     assert set(comparison.joints) == JOINTS
     note = next(str(note) for note in comparison.notes if "fused with the world" in str(note))
     assert "6 kg, 'base'" in note
-    # What is in the legs is still found, and the base is no part of it.
+    # A difference in the legs is still found; the base is not compared.
     heavier = fused.replace('mass="0.2"', 'mass="0.3"')
     assert list_differences(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
     # Other things in the scene are not: they have no name of the URDF's.

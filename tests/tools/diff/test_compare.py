@@ -593,7 +593,7 @@ def test_no_code_of_a_repository_is_executed(repository: Path, tmp_path: Path) -
     git(repository, "status", "--porcelain")
     assert proof.exists(), "git itself runs none of them: this test is worth nothing"
     proof.unlink()
-    os.utime(repository / "robot.urdf")  # so that git looks at it again
+    os.utime(repository / "robot.urdf")  # so that git reads the file again
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
     assert not proof.exists()
 

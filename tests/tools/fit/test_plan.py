@@ -91,7 +91,7 @@ def test_servos_that_are_too_soft_hold_no_stand() -> None:
         plan_stands(load_variant("v3"), 3, kp=0.3)
 
 
-# --------- Random stands: com and joints keep off by what is not known of them, and what is refused
+# --------- Random stands: margins of CoM and joints by their uncertainty, and refusals
 
 
 @pytest.mark.slow

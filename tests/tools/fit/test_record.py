@@ -699,7 +699,7 @@ def test_invalid_plan_is_refused_before_any_command(
 def test_bridge_is_selected_by_its_name_and_options(robot: Robot) -> None:
     bridge, person = open_bridge("mujoco:5;kp=7", robot)
     assert bridge is person
-    # 7 % of deviation, and as much in common, of what is said (not of the file's 5 N m/rad).
+    # Relative to the given kp (not the 5 N m/rad of the file): 7 % deviation, and 7 % in common.
     assert isinstance(bridge, SimulatedRobot)
     assert np.exp(np.log(bridge.kp).mean()) == pytest.approx(7.0, rel=0.2)
     with pytest.raises(ConfigurationError, match="available: mujoco, ros2, typed"):

@@ -409,8 +409,8 @@ def test_the_whole_com_is_that_of_the_planted_robot(
     )
     half = np.array([estimate.high - estimate.mean for estimate in fit.com])
     assert (np.abs(found - truth) < half).all()
-    # A link's own com is known to 20 mm. (16 planned stands, half of them turned: 1 mm.) With legs
-    # that are as long as the file says, 5 mm.
+    # The standard deviation of a link's own CoM is 20 mm. (16 planned stands, half of these turned:
+    # 1 mm.) With the leg lengths of the file: 5 mm.
     assert (half[:2] < 6.5e-3).all()
     assert abs(truth[0] - compute_com(robot)[0]) > half[0]
 
@@ -720,7 +720,7 @@ def test_outlier_is_named_with_its_stand_and_joint(
         str(stand),
         robot.joint_names[joint],
     )
-    # A servo that is asked for less than its position shows is read too far by so much.
+    # ``off`` is the magnitude of the error that was added to a command or a position.
     assert finding.values["off"].value == pytest.approx(abs(off), rel=0.15)
     worst = fit.joint_residuals[0]
     assert (worst.stand, worst.joint) == (str(stand), robot.joint_names[joint])
@@ -881,7 +881,7 @@ def test_log_coordinates_invert_and_match_finite_differences() -> None:
     step = 1e-6
     rates = (logarithms.to_parameters(y + step) - logarithms.to_parameters(y - step)) / (2 * step)
     assert logarithms.compute_rates(y) == pytest.approx(rates, rel=1e-6)
-    assert y[1:] == pytest.approx(x[1:])  # what is off by an amount stays as it is
+    assert y[1:] == pytest.approx(x[1:])  # additive parameters are unchanged
 
 
 def test_log_coordinates_are_symmetric_in_factors_and_positive() -> None:
@@ -919,7 +919,7 @@ def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
     found = estimate_parameters(table, by_logarithms, lower_bounds=logarithms.lower_bounds)
     posterior = logarithms.transform_posterior(found)
     assert posterior.mean == pytest.approx([1.0, *factors], abs=1e-3)
-    # What is not known of it, of each in proportion.
+    # Each relative standard deviation equals that of the common factor.
     assert posterior.std / posterior.mean == pytest.approx(np.full(13, found.std[0]), rel=1e-3)
     assert posterior.variance_ratios == pytest.approx(found.variance_ratios)
     plain = estimate_parameters(table, lambda x, _: linearise(x))

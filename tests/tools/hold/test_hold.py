@@ -125,7 +125,7 @@ def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
         found = verify_stand(robot, stand, duration=4.0)
         assert found.passed is holds
         assert ("motors-give-all" in [failure.code for failure in found.failures]) is not holds
-    settled = steady_state(robot, stand)  # the weak elbow sags to where gravity asks for less
+    settled = steady_state(robot, stand)  # the weak elbow sags to a smaller gravity torque
     alone = verify_stand(robot, stand, feedforward=False, settled=settled)
     assert alone.passed
     assert alone.joint_positions[0] > 0.525

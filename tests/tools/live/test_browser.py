@@ -68,7 +68,7 @@ class Opened:
         self.page.on("console", self._hear)
         self.page.goto(address)
         self.page.locator(".pa").first.wait_for(state="attached")
-        # viser says that it is drawn by software, in a box before the scene.
+        # A box of viser in front of the scene reports software rendering.
         self.page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
 
     def _hear(self, message: Any) -> None:
@@ -213,7 +213,7 @@ def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) 
     for nonsense in (b"", b"\x00\xff\r\n\r\n", b"GET /../../etc HTTP/1.1\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as knocks:
             knocks.sendall(nonsense)
-    time.sleep(0.5)  # before viser quietens what is said of such
+    time.sleep(0.5)  # before viser suppresses messages about such connections
     with urllib.request.urlopen(found[1], timeout=PATIENCE) as answered:
         assert b"<title>" in answered.read()
     process.send_signal(signal.SIGINT)

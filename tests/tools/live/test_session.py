@@ -164,7 +164,7 @@ def test_a_stance_that_changes_during_a_simulation_ends_it(page: Open) -> None:
     for mass in (0.1, 0.2, 0.3):
         page.ask(State(payload=mass))
     wait_for(lambda: page.shows(State(payload=0.3)) and page.settled(), "not shown")
-    time.sleep(0.5)  # longer than what is left of the simulation
+    time.sleep(0.5)  # longer than the rest of the simulation
     assert "Not simulated yet" in page.result
 
 

@@ -268,7 +268,7 @@ def test_payload_is_zero_if_the_stand_fails_without_payload(
     monkeypatch.setattr(payload, "judge_stand", judged)
     limit = payload_limit(load("v3"), None, ON_TOP)
     assert (limit.mass, limit.failure, limit.passed) == (0.0, Failure.UNLOADED, False)
-    assert limit.servos.mass > 5  # what servos would bear is told all the same
+    assert limit.servos.mass > 5  # the servo bound is reported nevertheless
 
 
 def test_payload_of_a_stand_is_that_of_its_task(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -465,7 +465,7 @@ def test_loaded_robots_of_a_search_are_freed(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(soft_ground, "with_payload", load_and_count)
     monkeypatch.setattr(
         "pupper_analysis.robot.robot._MAX_POOL_SIZE", 1
-    )  # lent to whoever asks next
+    )  # at most one unused object in the pool
     payload_limit(load("v3"), None, ON_TOP)
     assert len(made) > 20
     assert max(alive) <= 4  # of more than 20 robots
@@ -507,7 +507,7 @@ def test_nudges_between_the_tried_directions_do_not_decide(
     for by in math.pi / 16 * np.arange(2):
         monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, 1.0))
         held.append(simulate_payload(biped, pa.StandTask(), mass, ABOVE).survived)
-        # As fast as is said, no faster: the same circle for every turn.
+        # The inscribed circle of the nudge velocities has the stated speed for each rotation.
         monkeypatch.setattr(trial, "make_nudge_velocities", turned(by, math.cos(math.pi / 8)))
         falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).failed_nudges
     assert held == [stands] * 2

@@ -35,7 +35,7 @@ def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> 
         if math.isfinite(field.low):
             with pytest.raises(pa.ConfigurationError, match="must be"):
                 check_variable_range(name, field.low - 1e-3, 0.1)
-    if field.axes:  # one of a point leaves the other where it is
+    if field.axes:  # a coordinate of a point leaves the other unchanged
         second = list(own)[1]
         moved = task_of_numbers(task_with(field), {second: 0.5})
         assert moved.values()[field.name] == (value[0], 0.5)

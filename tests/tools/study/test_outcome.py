@@ -64,7 +64,7 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     many = np.random.default_rng(5).uniform(size=(600, 2))  # each value once: in evenly wide cells
     sampled = pd.DataFrame({"x": many[:, 0], "y": many[:, 1], "m": 3 * many[:, 0]})
     shares = compute_main_effects(sampled, ["x", "y"], "m")
-    assert shares["x"] == pytest.approx(1 - 1 / 14**2, abs=3e-3)  # 14 cells: what is left in one
+    assert shares["x"] == pytest.approx(1 - 1 / 14**2, abs=3e-3)  # 14 cells: variance inside a cell
     assert shares["y"] < 0.05
 
 

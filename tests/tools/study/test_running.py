@@ -78,7 +78,7 @@ def test_design_that_does_not_stand_has_zero_metrics_and_no_sag(
     robot, stand = standing(1.4, 2.5, 0.19)
     pose = pa.steady_state(robot, solve_stand_as_simulated(robot, stand))
     assert heavy["reason"] == "; ".join(map(str, pose.failures))
-    assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
+    assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # the exact value
     assert heavy["peak_utilisation"] > 0
     assert (table["verified"].xs(0.9, level="height") == 0).all()
 
@@ -251,7 +251,7 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 
     before = first()
     moved = shutil.copy(files["urdf"], tmp_path / "moved.urdf")
-    assert first(urdf=str(moved)) == before  # what counts is what it says
+    assert first(urdf=str(moved)) == before  # only the content counts
     text = Path(files["urdf"]).read_text()
     assert '<mass value="' in text
     (tmp_path / "moved.urdf").write_text(text.replace('<mass value="', '<mass value="1', 1))

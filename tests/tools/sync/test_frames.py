@@ -50,7 +50,7 @@ def test_link_frames_that_are_turned(
     assert len(result.edits) <= 6
     other = files.urdf if side == "urdf" else files.mjcf
     assert other.read_text() == before[0 if side == "urdf" else 1]
-    # Of a URDF that is changed back, what is not of the change is there, digit by digit.
+    # After a reverted change, all other numbers of the URDF have the same digits.
     if side == "mjcf":
         words = re.findall(r'"([^"]*)"', urdf_text(ROBOT))
         after = re.findall(r'"([^"]*)"', files.urdf.read_text())

@@ -82,7 +82,7 @@ DIFFERENT = change_part(change_part(ROBOT, "base", mass=7.0), "thigh1", effort=2
         (["mjcf:joint hip1: effort"], {"effort": "mjcf"}),
         (["mjcf:1"], {"mass": "mjcf"}),
         (["mjcf:2-3", "urdf:1"], {"mass": "urdf", "effort": "mjcf", "damping": "mjcf"}),
-        # What is more particular counts, whatever the order.
+        # The more specific choice has precedence in both orders.
         (["urdf:effort", "mjcf"], {"mass": "mjcf", "effort": "urdf", "damping": "mjcf"}),
         (["urdf:3", "mjcf:hip1"], {"effort": "urdf", "damping": "mjcf"}),
     ],
@@ -484,7 +484,7 @@ def test_a_file_with_uncommitted_changes_is_refused(urdf: Path) -> None:
     with pytest.raises(pa.OutputError, match="uncommitted"):
         refuse_uncommitted(urdf)
     new = urdf.with_name("new.urdf")
-    new.write_bytes(text)  # nobody's, as far as git knows
+    new.write_bytes(text)  # not in git
     refuse_uncommitted(new)
     assert not urdf.with_name("run").exists()
     git(urdf.parent, "add", "robot.urdf", "new.urdf")  # staged is not committed
