@@ -135,7 +135,7 @@ def _stands(robot: pa.Robot) -> Job:
 
     def accuracy() -> Accuracy:
         pairs = zip(pa.solve_stands(robot, tasks), singly, strict=True)
-        away = max(float(np.abs(one.qpos - other.qpos).max()) for one, other in pairs)
+        away = max(float(np.abs(first.qpos - second.qpos).max()) for first, second in pairs)
         return Accuracy(away, ROUNDING_TOLERANCE, "m, rad off the single calls'")
 
     return Job(
@@ -176,8 +176,8 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
         inertia = np.triu(upper) + np.triu(upper, 1).T
         expected = feet @ turn, com, turn.T @ inertia @ turn, turn.T @ gravity
         away = [
-            np.abs(one - other).max() / np.abs(other).max()
-            for one, other in zip(ours(), expected, strict=True)
+            np.abs(first - second).max() / np.abs(second).max()
+            for first, second in zip(ours(), expected, strict=True)
         ]
         return Accuracy(float(max(away)), ROUNDING_TOLERANCE, "off Pinocchio's, relative")
 
@@ -185,7 +185,7 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
 
     def agreement() -> Accuracy:
         pairs = zip(mujocos(), ours(), strict=True)
-        away = [np.abs(one - other).max() / np.abs(other).max() for one, other in pairs]
+        away = [np.abs(first - second).max() / np.abs(second).max() for first, second in pairs]
         return Accuracy(float(max(away)), np.inf, "off ours, relative")
 
     return Job(
@@ -360,10 +360,10 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
             list(pool.map(growth, models, starts))
 
     def accuracy() -> Accuracy:
-        one, other = (
+        first, second = (
             pa.simulation.sweep_gains(robot, stand, kp=KP, kd=KD).height_deviation for _ in range(2)
         )
-        away = np.abs(np.nan_to_num(one, posinf=1.0) - np.nan_to_num(other, posinf=1.0)).max()
+        away = np.abs(np.nan_to_num(first, posinf=1.0) - np.nan_to_num(second, posinf=1.0)).max()
         return Accuracy(float(away), 0.0, "m between two runs")
 
     return Job(

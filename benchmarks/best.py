@@ -88,18 +88,18 @@ def main(
             free = np.eye(len(space.start)) if apart else space.coupled_directions()
             count = run_evolution(theirs, Subspace(space, space.start, free), evaluations, seed)
             ended = time.process_time()
-            one, two = -ours.best.scaled_objective, -theirs.best.scaled_objective
+            first, second = -ours.best.scaled_objective, -theirs.best.scaled_objective
             table.add_row(
                 name,
                 Objective(what).value,
                 f"{ours.compute_objective(space.nominal):.5g}",
-                f"{ours.scale * abs(one):.5g}",
+                f"{ours.scale * abs(first):.5g}",
                 f"{ours.evaluations}",
                 f"{between - began:.1f}",
-                f"{theirs.scale * abs(two):.5g}",
+                f"{theirs.scale * abs(second):.5g}",
                 f"{count}",
                 f"{ended - between:.0f}",
-                f"{(two - one) / abs(one):+.2%}",  # positive: evolution's is the better one
+                f"{(second - first) / abs(first):+.2%}",  # positive: evolution's is the better one
             )
     Console(width=130).print(table)
 

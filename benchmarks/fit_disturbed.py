@@ -324,8 +324,8 @@ class Rig:
         self.progress = 0.0  # of the stands, from 0 to 1
         self.wiring, self.signs = np.arange(true.nu), np.ones(true.nu)
         if other.swapped:
-            one, two = last_joints(stated)[:2]
-            self.wiring[[one, two]] = two, one
+            first, second = last_joints(stated)[:2]
+            self.wiring[[first, second]] = second, first
         if other.negated:
             self.signs[last_joints(stated)[1]] = -1.0
 

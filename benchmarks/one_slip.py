@@ -243,8 +243,8 @@ def _mjcf_differs(path: Path, plain: Path) -> str:
             return f"its {what} differs"
     for what in ("jnt_range", "jnt_limited"):
         moving = new.jnt_type >= 2
-        one, two = getattr(new, what)[moving], getattr(old, what)[moving]
-        if np.abs(one.astype(float) - two).max() > 1e-3:
+        first, second = getattr(new, what)[moving], getattr(old, what)[moving]
+        if np.abs(first.astype(float) - second).max() > 1e-3:
             return f"its {what} differs"
     return ""
 
@@ -319,8 +319,8 @@ def _urdf_differs(new: pin.Model | None, plain: Path) -> str:
     if list(new.names) != list(old.names):
         return ""
     for what in ("lowerPositionLimit", "upperPositionLimit", "effortLimit"):
-        one, two = getattr(new, what)[6:], getattr(old, what)[6:]
-        if not np.allclose(one, two, rtol=1e-3, atol=1e-3):
+        first, second = getattr(new, what)[6:], getattr(old, what)[6:]
+        if not np.allclose(first, second, rtol=1e-3, atol=1e-3):
             return f"its {what} differs"
     q = pin.neutral(old)
     q[7:] = np.random.default_rng(0).uniform(-0.5, 0.5, old.nq - 7)

@@ -124,9 +124,9 @@ def list_changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, 
         )
     now, then = found["setting"], old["setting"]
     for key in sorted(now["versions"].keys() | then["versions"].keys()):
-        one, other = then["versions"].get(key, "-"), now["versions"].get(key, "-")
-        if one != other:
-            messages.append((f"version of {key}", one, other, "", "", ""))
+        first, second = then["versions"].get(key, "-"), now["versions"].get(key, "-")
+        if first != second:
+            messages.append((f"version of {key}", first, second, "", "", ""))
     for key in ("processor", "cores"):
         if now[key] != then[key]:
             messages.append((key, str(then[key]), str(now[key]), "", "", ""))

@@ -105,8 +105,8 @@ def _push(robot: pa.Robot, stand: pa.Stand) -> Job:
         return pa.push_recovery(robot, stand, directions=4)
 
     def accuracy() -> Accuracy:
-        one, other = run().impulses, run().impulses
-        return Accuracy(float(np.abs(one - other).max()), 0.0, "N s between two runs")
+        first, second = run().impulses, run().impulses
+        return Accuracy(float(np.abs(first - second).max()), 0.0, "N s between two runs")
 
     return Job("push_recovery, 4 directions", run, accuracy, quick=False)
 
