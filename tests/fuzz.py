@@ -448,7 +448,7 @@ def _base_files() -> list[tuple[bytes, bytes]]:
         site = f'<site name="foot{leg}"'
         mjcf = mjcf.replace(site, f'<geom name="ball{leg}" size=".02" pos="0 0 -.2"/>{site}')
     pairs += [(urdf, mjcf.replace("</worldbody>", f"</worldbody>{_RICH}"))] * 2
-    return [(one.encode(), two.encode()) for one, two in pairs]
+    return [(first.encode(), second.encode()) for first, second in pairs]
 
 
 @functools.cache

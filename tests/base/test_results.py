@@ -143,11 +143,11 @@ def test_results_and_tasks_are_immutable() -> None:
 
 
 def test_tasks_can_be_hashed() -> None:
-    one, other = (
+    first, second = (
         pa.StandTask(swing={"FL": 0.02}, ground=pa.Ground(heights={"FR": height}))
         for height in (0.01, 0.02)
     )
-    assert len({one, other, pa.StandTask(), replace(one), pa.StandTask(height=None)}) == 3
+    assert len({first, second, pa.StandTask(), replace(first), pa.StandTask(height=None)}) == 3
 
 
 @cache

@@ -136,10 +136,10 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     """MuJoCo's documentation: d = 2 M / T and k = M / (T z)^2 for time constant T and damping ratio
     z. Scaling the damping keeps the stiffness, and `diff_models` reports both.
     """
-    one, two = tmp_path / "one.xml", tmp_path / "two.xml"
-    one.write_text(SPRUNG)
-    two.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))
-    file = read_mjcf(one)
+    first, second = tmp_path / "one.xml", tmp_path / "two.xml"
+    first.write_text(SPRUNG)
+    second.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))
+    file = read_mjcf(first)
     damping, spring = (
         next(a for a in PASSIVE_ATTRIBUTES if a.kind == kind) for kind in ("damping", "spring")
     )
@@ -153,7 +153,7 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
     model = tree.spec.compile()
     assert damping.read_compiled_value(model, 1) == pytest.approx(2 * made[0])
     assert spring.read_compiled_value(model, 1) == pytest.approx(made[1])
-    found = {change.kind: change for change in pa.diff_models(one, two).changes}
+    found = {change.kind: change for change in pa.diff_models(first, second).changes}
     assert {"damping", "spring"} <= set(found)
     assert found["damping"].old == pytest.approx(made[0])
     assert found["damping"].new == pytest.approx(made[0] / 2)

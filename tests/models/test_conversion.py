@@ -86,10 +86,13 @@ def test_bodies_equal_those_of_pinocchios_own_parser(tmp_path: Path) -> None:
     theirs = pin.buildModelFromMJCF(str(path))
     assert len(ours.names) == 14
     for name in ours.names[2:]:
-        one, two = ours.inertias[ours.getJointId(name)], theirs.inertias[theirs.getJointId(name)]
-        assert one.mass == pytest.approx(two.mass, rel=1e-12)
-        np.testing.assert_allclose(one.lever, two.lever, atol=1e-12)
-        np.testing.assert_allclose(one.inertia, two.inertia, atol=1e-12)
+        first, second = (
+            ours.inertias[ours.getJointId(name)],
+            theirs.inertias[theirs.getJointId(name)],
+        )
+        assert first.mass == pytest.approx(second.mass, rel=1e-12)
+        np.testing.assert_allclose(first.lever, second.lever, atol=1e-12)
+        np.testing.assert_allclose(first.inertia, second.inertia, atol=1e-12)
 
 
 def test_ball_joint_is_refused_by_name() -> None:

@@ -62,8 +62,8 @@ def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path
     pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     robots = [pa.load_robot(urdf=files.urdf, mjcf=files.mjcf) for files in (free, pair)]
     assert robots[1].floating
-    one, two = (pa.solve_stand(robot) for robot in robots)
-    np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)
+    first, second = (pa.solve_stand(robot) for robot in robots)
+    np.testing.assert_allclose(first.qpos, second.qpos, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_chain_of_joints_ends_at_the_base_and_equals_pinocchio(tree: UrdfTree) -
     chain = list(tree.chain("foot3"))
     assert chain[0].child == "foot3"
     assert chain[-1].parent == "base"
-    assert all(one.parent == two.child for one, two in itertools.pairwise(chain))
+    assert all(first.parent == second.child for first, second in itertools.pairwise(chain))
     placed = pin.SE3.Identity()
     for joint in reversed(chain):
         placed = placed * joint.origin

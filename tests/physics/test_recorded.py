@@ -43,11 +43,11 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
         if where not in found:
             messages.append(f"{where} is gone")
             continue
-        one, other = np.atleast_1d(np.array(found[where])), np.atleast_1d(np.array(old))
-        scale = max(1.0, float(np.abs(other).max()))
-        if one.shape != other.shape:
-            messages.append(f"{where} had {other.shape} numbers, and has {one.shape}")
-        elif not np.abs(one - other).max() <= max(tolerance, *list_tolerances(where)) * scale:
+        first, second = np.atleast_1d(np.array(found[where])), np.atleast_1d(np.array(old))
+        scale = max(1.0, float(np.abs(second).max()))
+        if first.shape != second.shape:
+            messages.append(f"{where} had {second.shape} numbers, and has {first.shape}")
+        elif not np.abs(first - second).max() <= max(tolerance, *list_tolerances(where)) * scale:
             messages.append(f"{where} was {old}, and is {found[where]}")
     return messages
 

@@ -69,13 +69,13 @@ def test_knee_springs_reduce_the_motor_torques_as_in_closed_form(tmp_path: Path)
     )
     stand = pa.solve_stand(sprung)
     config, other = pa.Configuration(sprung, stand.qpos), pa.Configuration(plain, stand.qpos)
-    one, two = pa.gravity_compensation(config), pa.gravity_compensation(other)
+    first, second = pa.gravity_compensation(config), pa.gravity_compensation(other)
     knees = np.array([name.endswith("_3") for name in sprung.joint_names])
     spring = np.where(knees, 0.8 * (stand.qpos[7:] - 0.4), 0.0)
-    np.testing.assert_allclose(one.joint_torques, two.joint_torques + spring, atol=1e-9)
+    np.testing.assert_allclose(first.joint_torques, second.joint_torques + spring, atol=1e-9)
     assert np.abs(spring).max() > 0.1
-    for foot, force in two.contact_forces.items():
-        np.testing.assert_allclose(one.contact_forces[foot], force, atol=1e-9)
+    for foot, force in second.contact_forces.items():
+        np.testing.assert_allclose(first.contact_forces[foot], force, atol=1e-9)
     verify_stand_without_error(sprung)
 
 

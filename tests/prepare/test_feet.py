@@ -84,7 +84,9 @@ def test_refusal_names_geoms_whose_contact_bits_exclude_the_floor(
     bits: tuple[int, int], floor_bits: tuple[int, int], tmp_path: Path
 ) -> None:
     """Reference: MuJoCo finds no contact of the feet 1 cm in the floor."""
-    own, floor = (f'contype="{one}" conaffinity="{two}"' for one, two in (bits, floor_bits))
+    own, floor = (
+        f'contype="{first}" conaffinity="{second}"' for first, second in (bits, floor_bits)
+    )
     foot = f'<geom name="FOOT" {own} size="0.02" pos="0 0 -0.2"/>'
     pair = quadruped(tmp_path, foot=foot, floor=True)
     text = pair.mjcf.read_text()

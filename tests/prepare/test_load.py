@@ -433,8 +433,8 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     robot = load(pair)
     assert "FL_knee by +17.19 deg" in find_note(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
-    one, two = (pa.stance.solve_stand_on_soft_ground(loaded).qpos for loaded in (robot, plain))
-    np.testing.assert_allclose(one, two, atol=1e-9)
+    first, second = (pa.stance.solve_stand_on_soft_ground(loaded).qpos for loaded in (robot, plain))
+    np.testing.assert_allclose(first, second, atol=1e-9)
     verify_held_stand(robot)
 
 

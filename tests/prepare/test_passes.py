@@ -121,8 +121,8 @@ def test_existing_site_with_the_name_of_a_foot_is_not_changed(tmp_path: Path) ->
     other = pa.load_robot(pair.urdf, pair.mjcf)
     assert other.description.contact_points[point] == (f"{frame}_2", f"{frame}_2")
     np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))
-    one, two = pa.solve_stand(plain), pa.solve_stand(other)
-    np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)
+    first, second = pa.solve_stand(plain), pa.solve_stand(other)
+    np.testing.assert_allclose(first.qpos, second.qpos, atol=1e-9)
 
 
 def write_stiff_quadruped(folder: Path) -> Path:

@@ -377,15 +377,15 @@ def test_robot_equals_its_mirror_image(robot: pa.Robot) -> None:
             mirror[6:, 6:] @ qpos[7:],
         ]
     )
-    one, two = pa.Configuration(robot, qpos), pa.Configuration(robot, image)
-    np.testing.assert_allclose(two.center_of_mass(), MIRROR @ one.center_of_mass(), atol=1e-12)
+    first, second = pa.Configuration(robot, qpos), pa.Configuration(robot, image)
+    np.testing.assert_allclose(second.center_of_mass(), MIRROR @ first.center_of_mass(), atol=1e-12)
     for right, left in MIRRORED:
         np.testing.assert_allclose(
-            two.foot_positions()[left], MIRROR @ one.foot_positions()[right], atol=1e-12
+            second.foot_positions()[left], MIRROR @ first.foot_positions()[right], atol=1e-12
         )
-    inertia = mirror @ one.mass_matrix() @ mirror.T
-    np.testing.assert_allclose(two.mass_matrix(), inertia, atol=1e-12)
-    np.testing.assert_allclose(two.gravity(), mirror @ one.gravity(), atol=1e-12)
+    inertia = mirror @ first.mass_matrix() @ mirror.T
+    np.testing.assert_allclose(second.mass_matrix(), inertia, atol=1e-12)
+    np.testing.assert_allclose(second.gravity(), mirror @ first.gravity(), atol=1e-12)
     flipped = mirror[6:, 6:].sum(axis=1) < 0
     for limits, others in (
         (robot.lower_limits, robot.upper_limits),
@@ -404,10 +404,10 @@ def test_front_and_rear_legs_have_equal_bodies(robot: pa.Robot, source: str) -> 
                 for foot in (front, rear)]  # fmt: skip
         assert len(legs[0]) == 3
         hips = [bodies[leg[0]].position for leg in legs]
-        for one, two in zip(*([bodies[name] for name in leg] for leg in legs), strict=True):
-            assert two.mass == pytest.approx(one.mass, rel=1e-12)
-            np.testing.assert_allclose(two.com - hips[1], one.com - hips[0], atol=1e-12)
-            np.testing.assert_allclose(two.inertia, one.inertia, atol=1e-15)
+        for first, second in zip(*([bodies[name] for name in leg] for leg in legs), strict=True):
+            assert second.mass == pytest.approx(first.mass, rel=1e-12)
+            np.testing.assert_allclose(second.com - hips[1], first.com - hips[0], atol=1e-12)
+            np.testing.assert_allclose(second.inertia, first.inertia, atol=1e-15)
 
 
 # ------------------------------------------------------------------------------------- fixed base
@@ -455,7 +455,7 @@ def test_fixed_base_has_the_joint_rows_of_the_free_robot() -> None:
     free, fixed = load("v3"), load("v3", fixed_base=True)
     qpos = free.neutral()
     qpos[2], qpos[7:] = 0.13, np.linspace(-0.4, 0.4, 12)
-    one, two = pa.Configuration(free, qpos), pa.Configuration(fixed, qpos[7:])
-    np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix()[6:, 6:], atol=1e-15)
-    np.testing.assert_allclose(two.gravity(), one.gravity()[6:], atol=1e-15)
-    np.testing.assert_allclose(two.center_of_mass(), one.center_of_mass(), atol=1e-15)
+    first, second = pa.Configuration(free, qpos), pa.Configuration(fixed, qpos[7:])
+    np.testing.assert_allclose(second.mass_matrix(), first.mass_matrix()[6:, 6:], atol=1e-15)
+    np.testing.assert_allclose(second.gravity(), first.gravity()[6:], atol=1e-15)
+    np.testing.assert_allclose(second.center_of_mass(), first.center_of_mass(), atol=1e-15)

@@ -44,8 +44,8 @@ def known_to() -> dict[str, set[str]]:
         r'"pupper_analysis\.tools\.(\w+)\.\*\* -> pupper_analysis\.tools\.(\w+)\.', text
     )
     found: dict[str, set[str]] = {name: set() for name in own_packages()}
-    for one, other in pairs:
-        found[one].add(other)
+    for first, second in pairs:
+        found[first].add(second)
     return found
 
 

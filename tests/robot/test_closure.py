@@ -467,23 +467,23 @@ def test_weld_in_a_plane_closes_a_loop_like_a_connect(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("one", "two")]
     for folder in folders:
         folder.mkdir()
-    one, two = load(four_bars(folders[0])), load(hinge_rods(four_bars(folders[1])))
-    assert two.closure is not None
-    assert len(two.closure.dependent_joints) == 12
-    stand = pa.stance.solve_stand_on_soft_ground(two)
+    first, second = load(four_bars(folders[0])), load(hinge_rods(four_bars(folders[1])))
+    assert second.closure is not None
+    assert len(second.closure.dependent_joints) == 12
+    stand = pa.stance.solve_stand_on_soft_ground(second)
     # It stands as predicted, and for no longer than some 20 s: welds are softer, and it buckles.
-    seen = pa.verify_stand(two, stand)
+    seen = pa.verify_stand(second, stand)
     assert max(seen.torque_error, seen.force_error) < 1e-5
     (mode,) = seen.stability.modes_growing_within()[:1]
     assert not mode.shakes
     task = pa.StandTask(height=stand.task.height)
     wanted, torques = (
         pa.stance.stand_statics(variant, pa.solve_stand(variant, task)).joint_torques
-        for variant in (one, two)
+        for variant in (first, second)
     )
     for name in (f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "motor")):
-        assert joint_value(two, torques, name) == pytest.approx(
-            joint_value(one, wanted, name), abs=1e-2
+        assert joint_value(second, torques, name) == pytest.approx(
+            joint_value(first, wanted, name), abs=1e-2
         )
 
 

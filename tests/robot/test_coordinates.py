@@ -54,8 +54,8 @@ def test_whole_turns_of_a_continuous_joint_have_no_effect(tiny: pa.Robot, turns:
     convention = tiny.pin_convention
     np.testing.assert_allclose(convention.q(turned), convention.q(qpos), atol=1e-14)
     np.testing.assert_allclose(convention.qpos(convention.q(turned)), qpos, atol=1e-14)
-    one, two = (pa.Configuration(tiny, q).foot_positions()["foot"] for q in (qpos, turned))
-    np.testing.assert_allclose(one, two, atol=1e-14)
+    first, second = (pa.Configuration(tiny, q).foot_positions()["foot"] for q in (qpos, turned))
+    np.testing.assert_allclose(first, second, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -213,7 +213,7 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'
     names = (("foot0", "ground"), ("ground", "foot1"), ("foot2", "ground"), ("ground", "foot3"))
     pairs = "".join(
-        f'<pair geom1="{one}" geom2="{two}" condim="4" {values}/>' for one, two in names
+        f'<pair geom1="{first}" geom2="{second}" condim="4" {values}/>' for first, second in names
     )
     files = write_scene(tmp_path, PLANE + "/>", pairs)
     robot = load_pair(files)
@@ -229,8 +229,8 @@ def test_contact_parameters_of_pairs_equal_the_unmodified_file(tmp_path: Path) -
         assert state.ncon == 4
         data.append(state)
     for word in ("friction", "solref", "solimp", "dim"):
-        one, two = (np.array(getattr(state.contact, word), dtype=float) for state in data)
-        np.testing.assert_allclose(np.sort(one, axis=0), np.sort(two, axis=0), atol=1e-12)
+        first, second = (np.array(getattr(state.contact, word), dtype=float) for state in data)
+        np.testing.assert_allclose(np.sort(first, axis=0), np.sort(second, axis=0), atol=1e-12)
     assert np.unique(np.array(data[0].contact.friction)[:, 0]).tolist() == [0.37]
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.37}
     # A robot slides on slopes steeper than arctan(0.37) = 0.354 rad.

@@ -93,8 +93,8 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
     once = with_payload(robot, 2.0, POINT)
     qpos, _ = random_state(robot, 3)
-    one, two = (pa.Configuration(model, qpos).mass_matrix() for model in (once, twice))
-    np.testing.assert_allclose(two, one, atol=1e-12)
+    first, second = (pa.Configuration(model, qpos).mass_matrix() for model in (once, twice))
+    np.testing.assert_allclose(second, first, atol=1e-12)
 
 
 def test_payload_on_a_fixed_base_or_at_an_invalid_point_is_refused() -> None:

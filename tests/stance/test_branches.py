@@ -104,8 +104,8 @@ def test_whole_turns_are_not_separate_ik_branches() -> None:
         assert len(reached) == 4
         assert all((np.abs(positions) <= np.pi).all() for positions in reached)
         assert min(np.abs(positions - bent[7 + limb.joints]).max() for positions in reached) < 1e-3
-        for one, two in itertools.combinations(reached, 2):
-            assert np.abs(np.exp(1j * one) - np.exp(1j * two)).max() > 0.05
+        for first, second in itertools.combinations(reached, 2):
+            assert np.abs(np.exp(1j * first) - np.exp(1j * second)).max() > 0.05
 
 
 BESIDE_A_STEP = pa.StandTask(

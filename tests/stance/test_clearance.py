@@ -98,15 +98,15 @@ def test_distance_of_the_closest_links_equals_mujoco(name: str) -> None:
 
     def pairs(data: mujoco.MjData) -> dict[tuple[int, int], float]:
         found = {}
-        for one, two in itertools.combinations(range(1, model.nbody), 2):
-            if model.body_parentid[two] == one or model.body_parentid[one] == two:
+        for first, second in itertools.combinations(range(1, model.nbody), 2):
+            if model.body_parentid[second] == first or model.body_parentid[first] == second:
                 continue
             gaps = [
                 distance(model, data, *pair)
-                for pair in itertools.product(shapes_of(robot, one), shapes_of(robot, two))
+                for pair in itertools.product(shapes_of(robot, first), shapes_of(robot, second))
             ]
             if gaps:
-                found[one, two] = min(gaps)
+                found[first, second] = min(gaps)
         return found
 
     neighbours = {pair for pair, gap in pairs(home).items() if gap <= 0}

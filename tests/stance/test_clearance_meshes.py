@@ -131,9 +131,9 @@ def test_link_distances_equal_those_of_mujoco_hulls(robot: pa.Robot) -> None:
         qpos = draw_configuration(robot, seed)
         data = evaluate_mujoco(robot, qpos)
         expected = min(
-            mujoco.mj_geomDistance(model, data, one, two, FAR, None)
-            for one, two in itertools.combinations(list_collidable_geoms(model), 2)
-            if pair_of(model, one, two) not in neighbours
+            mujoco.mj_geomDistance(model, data, first, second, FAR, None)
+            for first, second in itertools.combinations(list_collidable_geoms(model), 2)
+            if pair_of(model, first, second) not in neighbours
         )
         found = shapes.find_closest_links(qpos)
         assert found is not None
@@ -153,10 +153,10 @@ def list_neighbours(robot: pa.Robot) -> set[frozenset[int]]:
     """Return pairs of bodies that are equal, parent and child, or overlap in the home pose."""
     model, data = robot.mj_model, evaluate_mujoco(robot, robot.home)
     found = set()
-    for one, two in itertools.combinations(list_collidable_geoms(model), 2):
-        pair = pair_of(model, one, two)
+    for first, second in itertools.combinations(list_collidable_geoms(model), 2):
+        pair = pair_of(model, first, second)
         parents = {int(model.body_parentid[body]) for body in pair}
-        near = mujoco.mj_geomDistance(model, data, one, two, FAR, None) <= 0
+        near = mujoco.mj_geomDistance(model, data, first, second, FAR, None) <= 0
         if len(pair) == 1 or pair & parents or near:
             found.add(pair)
     return found
@@ -180,8 +180,8 @@ def test_excluded_link_pairs_have_no_clearance(tmp_path: Path) -> None:
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
     assert near is not None
-    one, two = near.links
-    pair = write_meshed(tmp_path, f'<contact><exclude body1="{one}" body2="{two}"/></contact>')
+    first, second = near.links
+    pair = write_meshed(tmp_path, f'<contact><exclude body1="{first}" body2="{second}"/></contact>')
     other = pa.solve_stand(
         pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), pa.StandTask(self_clearance=0.0)
     ).self_clearance

@@ -88,8 +88,8 @@ def test_stand_is_evaluated_alike_if_pinocchio_returns_copies() -> None:
         higher = evaluate_stand(shapes, all_targets[0], raised, 0)
     finally:
         pin.sharedMemory(True)
-    for one, other in zip(found, expected, strict=True):
-        assert one.to_dict() == other.to_dict()
+    for first, second in zip(found, expected, strict=True):
+        assert first.to_dict() == second.to_dict()
     assert higher.ground_clearance is not None
     assert expected[0].ground_clearance is not None
     lifted = higher.ground_clearance.distance - expected[0].ground_clearance.distance

@@ -102,15 +102,15 @@ def test_com_margin_equals_the_distance_that_shapely_computes() -> None:
 def test_fields_shared_by_default_stands_are_read_only() -> None:
     """The next stand is unchanged after the attempt."""
     robot = load("v3")
-    one, other = pa.solve_stand(robot), pa.solve_stand(robot)
-    for point in one.contact_points.values():
+    first, second = pa.solve_stand(robot), pa.solve_stand(robot)
+    for point in first.contact_points.values():
         with pytest.raises(ValueError, match="read-only"):
             point[:] = np.nan
-    for mapping in (one.depths, one.task.feet, one.task.foot_offsets, one.task.swing):
+    for mapping in (first.depths, first.task.feet, first.task.foot_offsets, first.task.swing):
         with pytest.raises(TypeError, match="cannot be changed"):
             mapping.clear()  # type: ignore[attr-defined]
     for name, point in pa.solve_stand(robot).contact_points.items():
-        np.testing.assert_array_equal(point, other.contact_points[name])
+        np.testing.assert_array_equal(point, second.contact_points[name])
 
 
 def test_contact_depth_is_independent_of_the_initial_guess() -> None:

@@ -198,9 +198,9 @@ def test_numpy_numbers_of_a_task_give_the_stand_of_floats() -> None:
 
 def test_a_stand_solved_twice_is_equal_to_the_last_bit() -> None:
     task = pa.StandTask(0.14, 0.1, -0.1, 0.2)
-    one, two = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
-    np.testing.assert_array_equal(one.qpos, two.qpos)
-    assert one.iterations == two.iterations
+    first, second = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
+    np.testing.assert_array_equal(first.qpos, second.qpos)
+    assert first.iterations == second.iterations
 
 
 def test_default_stand_of_each_variant_is_symmetric(robot: pa.Robot, variant: str) -> None:

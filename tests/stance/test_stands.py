@@ -119,8 +119,8 @@ def test_stand_sequence_equals_single_calls_in_fewer_iterations(name: str) -> No
     robot = load(name)
     tasks = wave(robot, 20)
     found, singles = pa.solve_stands(robot, tasks), [pa.solve_stand(robot, task) for task in tasks]
-    for one, other in zip(found, singles, strict=True):
-        assert_same(one, other)
+    for first, second in zip(found, singles, strict=True):
+        assert_same(first, second)
     assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
 
 

@@ -274,8 +274,10 @@ def test_min_max_torque_minimises_the_torque_without_limits() -> None:
     """Reference: the result with equal limits, which scale all torques alike."""
     config = at_stand("v3")
     free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
-    one, two = (pa.gravity_compensation(c, distribution="min-max torque") for c in (config, free))
-    np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
+    first, second = (
+        pa.gravity_compensation(c, distribution="min-max torque") for c in (config, free)
+    )
+    np.testing.assert_allclose(first.joint_torques, second.joint_torques, atol=1e-6)
 
 
 def test_min_max_torque_ignores_motors_with_a_limit_of_zero() -> None:
@@ -457,11 +459,11 @@ def test_friction_can_differ_between_feet() -> None:
 def test_length_of_a_normal_has_no_effect() -> None:
     """Reference: the result with a unit normal."""
     config = at_stand("original")
-    one, two = (
+    first, second = (
         pa.gravity_compensation(config, normals={"FL": scale * tilt_vertical(0.2)})
         for scale in (1, 7)
     )
-    np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-9)
+    np.testing.assert_allclose(first.joint_torques, second.joint_torques, atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------- infeasible
@@ -473,9 +475,9 @@ def test_two_feet_fail_if_the_com_is_beside_their_line() -> None:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR"])
     error = caught.value
     assert error.reason is pa.errors.Infeasibility.COM_OUTSIDE
-    one, two = np.array([0.06881, -0.1015]), np.array([-0.08119, -0.0905])
-    along = (two - one) / np.linalg.norm(two - one)
-    arm = np.array([-0.00272409, 0]) - one
+    first, second = np.array([0.06881, -0.1015]), np.array([-0.08119, -0.0905])
+    along = (second - first) / np.linalg.norm(second - first)
+    arm = np.array([-0.00272409, 0]) - first
     distance = abs(along[0] * arm[1] - along[1] * arm[0])
     assert error.margin == pytest.approx(-distance, abs=1e-7)
     assert error.friction_needed is None
@@ -850,8 +852,8 @@ def test_three_feet_share_the_weight_by_barycentric_coordinates() -> None:
 def test_torques_do_not_depend_on_the_velocity() -> None:
     still = at_stand("v3")
     moving = pa.Configuration(still.robot, still.qpos, np.ones(18))
-    one, two = (pa.gravity_compensation(config) for config in (still, moving))
-    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+    first, second = (pa.gravity_compensation(config) for config in (still, moving))
+    np.testing.assert_array_equal(first.joint_torques, second.joint_torques)
 
 
 def test_more_friction_needs_no_more_torque() -> None:
@@ -993,11 +995,11 @@ def test_text_instead_of_a_list_of_feet_is_refused() -> None:
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 def test_distribution_may_be_given_by_its_value(distribution: pa.statics.ForceDistribution) -> None:
     config = at_stand("v3")
-    one, two = (
+    first, second = (
         pa.gravity_compensation(config, distribution=form)
         for form in (distribution, distribution.value)
     )
-    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+    np.testing.assert_array_equal(first.joint_torques, second.joint_torques)
 
 
 def test_minimum_torque_is_below_that_of_minimum_tangential_forces(variant: str) -> None:

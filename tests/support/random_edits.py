@@ -148,14 +148,14 @@ def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
         named = [geom for geom in geoms if geom.get("name") and not _in_default(geom)]
         bodies = [body.get("name") for body in root.iter("body") if body.get("name")]
         if len(named) > 1 and random.integers(2):
-            one, two = random.choice(len(named), 2, replace=False)
-            ends = {"geom1": str(named[one].get("name")), "geom2": str(named[two].get("name"))}
+            first, second = random.choice(len(named), 2, replace=False)
+            ends = {"geom1": str(named[first].get("name")), "geom2": str(named[second].get("name"))}
             contact = etree.SubElement(root, "contact")
             etree.SubElement(contact, "pair", ends)
         elif len(bodies) > 1:
-            one, two = random.choice(bodies, 2, replace=False)
+            first, second = random.choice(bodies, 2, replace=False)
             contact = etree.SubElement(root, "contact")
-            etree.SubElement(contact, "exclude", body1=str(one), body2=str(two))
+            etree.SubElement(contact, "exclude", body1=str(first), body2=str(second))
         return Edit("pair or exclude")
     if kind in ("option", "flag"):
         options = list(root.iter("option"))

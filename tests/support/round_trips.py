@@ -160,8 +160,8 @@ def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int]:
     endings = (".xml", ".urdf") if source.suffix == ".urdf" else (".urdf", ".xml")
     there, back = (folder / f"{name}{end}" for name, end in zip("ab", endings, strict=True))
     said = []
-    for one, two in ((source, there), (there, back)):
-        done = pa.convert_model(one, two, force=True, repair_inertia=one.suffix == ".urdf")
+    for first, second in ((source, there), (there, back)):
+        done = pa.convert_model(first, second, force=True, repair_inertia=first.suffix == ".urdf")
         said += [*done.not_converted, *done.notes, *done.failures]
         said += [repair.diagnostic for repair in done.repairs]
     read = of_urdf if source.suffix == ".urdf" else of_mjcf

@@ -70,8 +70,8 @@ def _change_sign(values: list[float], random: np.random.Generator) -> None:
 
 def _swap_values(values: list[float], random: np.random.Generator) -> None:
     """Exchange two random values."""
-    one, two = random.choice(len(values), 2, replace=False)
-    values[one], values[two] = values[two], values[one]
+    first, second = random.choice(len(values), 2, replace=False)
+    values[first], values[second] = values[second], values[first]
 
 
 def _convert_to_degrees(values: list[float], _: np.random.Generator) -> None:
@@ -87,10 +87,10 @@ def _divide_by_ten(values: list[float], random: np.random.Generator) -> None:
 def _other_joint(text: str, random: np.random.Generator) -> str:
     """Exchange the joints of two random actuators."""
     joints = re.findall(r'<position joint="(\w+)"', text)
-    one, two = (str(joint) for joint in random.choice(joints, 2, replace=False))
-    text = text.replace(f'<position joint="{one}"', "<position joint=\0")
-    text = text.replace(f'<position joint="{two}"', f'<position joint="{one}"')
-    return text.replace("<position joint=\0", f'<position joint="{two}"')
+    first, second = (str(joint) for joint in random.choice(joints, 2, replace=False))
+    text = text.replace(f'<position joint="{first}"', "<position joint=\0")
+    text = text.replace(f'<position joint="{second}"', f'<position joint="{first}"')
+    return text.replace("<position joint=\0", f'<position joint="{second}"')
 
 
 SLIPS: dict[str, Slip] = {

@@ -353,10 +353,10 @@ def test_absent_files_in_the_arguments_of_a_robot_count_as_not_given(tmp_path: P
 
 def test_robot_of_a_read_mjcf_is_that_of_its_path(tmp_path: Path) -> None:
     path = quadruped(tmp_path).mjcf
-    one, other = load_mjcf_robot(read_mjcf(path)), pa.load_robot(mjcf=path, visuals=False)
-    assert one.joint_names == other.joint_names
-    assert one.feet == other.feet
-    assert one.published is not None
-    assert one.published.file is not None
-    np.testing.assert_array_equal(one.home, other.home)
-    assert [note.code for note in one.notes] == [note.code for note in other.notes]
+    first, second = load_mjcf_robot(read_mjcf(path)), pa.load_robot(mjcf=path, visuals=False)
+    assert first.joint_names == second.joint_names
+    assert first.feet == second.feet
+    assert first.published is not None
+    assert first.published.file is not None
+    np.testing.assert_array_equal(first.home, second.home)
+    assert [note.code for note in first.notes] == [note.code for note in second.notes]

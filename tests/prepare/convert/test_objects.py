@@ -55,10 +55,10 @@ def assert_equal_robots(robot: pa.Robot, expected: pa.Robot, *, atol: float = 1e
         qpos, _ = random_state(expected, seed)
         own = qpos.copy()
         own[robot.nq - robot.nu + np.array(order)] = qpos[robot.nq - robot.nu :]
-        one, other = pa.Configuration(robot, own), pa.Configuration(expected, qpos)
-        masses = one.mass_matrix()[np.ix_(dofs, dofs)], other.mass_matrix()
+        first, second = pa.Configuration(robot, own), pa.Configuration(expected, qpos)
+        masses = first.mass_matrix()[np.ix_(dofs, dofs)], second.mass_matrix()
         np.testing.assert_allclose(*masses, atol=atol)
-        np.testing.assert_allclose(one.bias_forces()[dofs], other.bias_forces(), atol=10 * atol)
+        np.testing.assert_allclose(first.bias_forces()[dofs], second.bias_forces(), atol=10 * atol)
 
 
 def read_spec() -> mujoco.MjSpec:

@@ -75,14 +75,14 @@ def assert_equal_worlds(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
     ours, theirs = list_touching_geoms(memory), list_touching_geoms(file)
     assert len(ours) == len(theirs)
     for name in GEOM:
-        one, two = (
+        first, second = (
             getattr(model, f"geom_{name}")[some] for model, some in ((memory, ours), (file, theirs))
         )
-        np.testing.assert_array_equal(one, two, err_msg=name)
+        np.testing.assert_array_equal(first, second, err_msg=name)
     np.testing.assert_allclose(memory.geom_rbound[ours], file.geom_rbound[theirs], atol=1e-9)
     for name in MOTOR:
-        one, two = getattr(memory, f"actuator_{name}"), getattr(file, f"actuator_{name}")
-        np.testing.assert_allclose(one, two, rtol=1e-9, err_msg=name)
+        first, second = getattr(memory, f"actuator_{name}"), getattr(file, f"actuator_{name}")
+        np.testing.assert_allclose(first, second, rtol=1e-9, err_msg=name)
     assert memory.nexclude == file.nexclude
     assert memory.nkey == file.nkey == 1
     np.testing.assert_allclose(memory.key_qpos, file.key_qpos, atol=1e-9)
@@ -160,8 +160,8 @@ def test_freed_robot_is_written_with_the_servos_of_its_stand(
     assert written.nkey == 0
     assert not (written.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     for name in MOTOR:
-        one, two = (getattr(model, f"actuator_{name}") for model in (free.mj_model, written))
-        np.testing.assert_allclose(one, two, rtol=1e-9, err_msg=name)
+        first, second = (getattr(model, f"actuator_{name}") for model in (free.mj_model, written))
+        np.testing.assert_allclose(first, second, rtol=1e-9, err_msg=name)
     for slope in (0.0, 0.14):
         task = StandTask(ground=pa.Ground(slope=slope))
         for robot in (free, pa.load_robot(output)):

@@ -206,10 +206,10 @@ def _count_calls(work: Callable[[], object]) -> int:
 @pytest.mark.parametrize("heavier", [5, 0])
 def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
     """Count of Python calls: at most 2.2 times for twice as many legs (linear growth plus 10 %)."""
-    one, two = written(52, 4, heavier), written(104, 4, heavier)
+    first, second = written(52, 4, heavier), written(104, 4, heavier)
     pa.compare_models(*written(3, 4, heavier))  # imports
     small, large = (
-        _count_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two)
+        _count_calls(lambda files=files: pa.compare_models(*files)) for files in (first, second)
     )
     assert large < 2.2 * small
 

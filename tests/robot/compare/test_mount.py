@@ -71,8 +71,8 @@ def test_mount_tilt_is_the_angle_between_the_gravity_of_both_files(
     files = write(tmp_path, urdf, turn_base(mjcf_text(arm(), (), free=False), turns[1]))
     comparison = compare_files(files)
     assert comparison.mount is not None
-    one, two = (turn.inv().apply([0.0, 0.0, -1.0]) for turn in turns)
-    tilt = math.acos(float(one @ two))
+    first, second = (turn.inv().apply([0.0, 0.0, -1.0]) for turn in turns)
+    tilt = math.acos(float(first @ second))
     assert comparison.mount.values["tilt"].value == pytest.approx(tilt, abs=1e-9)
 
 

@@ -262,8 +262,8 @@ def inertial_turned(files: Files) -> Expected | None:
 def inertia_axes_swapped(files: Files) -> Expected | None:
     link = files.heavy_link()
     moments = link.find("inertial/inertia").attrib
-    one, two = float(moments["ixx"]), float(moments["izz"])
-    if abs(one - two) < 0.1 * one:
+    first, second = float(moments["ixx"]), float(moments["izz"])
+    if abs(first - second) < 0.1 * first:
         return None
     moments["ixx"], moments["izz"] = moments["izz"], moments["ixx"]
     return {"inertia"}, {files.mover(link)}
@@ -272,10 +272,10 @@ def inertia_axes_swapped(files: Files) -> Expected | None:
 @mutation
 def swapped_legs(files: Files) -> Expected:
     hips = [j for j in files.urdf.iter("joint") if j.find("parent").get("link") == "base_link"]
-    one, two = files.choose.sample([j for j in hips if j.get("type") != "fixed"], 2)
-    a, b = one.find("origin"), two.find("origin")
+    first, second = files.choose.sample([j for j in hips if j.get("type") != "fixed"], 2)
+    a, b = first.find("origin"), second.find("origin")
     a.attrib["xyz"], b.attrib["xyz"] = b.get("xyz"), a.get("xyz")
-    return {"position"}, {one.get("name"), two.get("name")}
+    return {"position"}, {first.get("name"), second.get("name")}
 
 
 def _read_mass(link: Element) -> float:

@@ -761,8 +761,8 @@ def test_bodies_merged_by_mujoco_are_no_common_frames(tmp_path: Path) -> None:
         mjcf.write_text(text)
         robot = match_models(read_urdf(urdf), read_mjcf(mjcf)).robot
         assert set(robot.description.frames) == frames
-        one, two = kinematic_trees(robot)
-        assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}
+        first, second = kinematic_trees(robot)
+        assert first.joints.keys() == second.joints.keys() == {"turn", "bend", "push"}
 
 
 def test_single_joint_at_the_origin_of_the_base_is_matched_by_its_axis(tmp_path: Path) -> None:

@@ -309,7 +309,9 @@ def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, st
         return replace(robot, order=tuple(names), numbers=here), "order", ""
     if slip == "order":
         mine = robot.order[leg : leg + 3]
-        moved = {one: angles[two] for one, two in zip(mine, (*mine[1:], mine[0]), strict=True)}
+        moved = {
+            first: angles[second] for first, second in zip(mine, (*mine[1:], mine[0]), strict=True)
+        }
         return robot.with_numbers("default angle", **moved), "default angle", mine[0]
     if slip == "unit":
         there = {one: round(math.degrees(angle), 2) for one, angle in angles.items()}

@@ -463,8 +463,8 @@ def test_list_under_an_unknown_key_is_reported_with_the_key_if_joints_are_named(
 
 def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> None:
     text = sources["mjlab_cfg.py"].read_text()
-    one, two = re.findall(r'            "(?:angles|last)".*\n', text)
-    sources["mjlab_cfg.py"].write_text(text.replace(one + two, two + one))
+    first, second = re.findall(r'            "(?:angles|last)".*\n', text)
+    sources["mjlab_cfg.py"].write_text(text.replace(first + second, second + first))
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
     assert [finding.kind for finding in found.findings] == ["observations"]
 
@@ -483,16 +483,16 @@ def test_stands_of_default_poses_differ_in_height(sources: dict[str, Path]) -> N
     text = sources["config.yaml"].read_text()
     sources["config.yaml"].write_text(text.replace("0.52", "0.82"))
     found = read_contract(MJCF, URDF, sources["policy.json"], sources["config.yaml"])
-    one, two = found.poses
-    assert one.source == "policy.json"
-    assert one.height != two.height
-    assert one.stays
-    assert one.sag is not None
-    assert 0.002 < one.sag < 0.02  # kp of 5: v3 sinks by some mm
-    assert one.utilisation is not None
-    assert 0.05 < one.utilisation < 0.3
+    first, second = found.poses
+    assert first.source == "policy.json"
+    assert first.height != second.height
+    assert first.stays
+    assert first.sag is not None
+    assert 0.002 < first.sag < 0.02  # kp of 5: v3 sinks by some mm
+    assert first.utilisation is not None
+    assert 0.05 < first.utilisation < 0.3
     finding = next(finding for finding in found.findings if finding.kind == "default angle")
-    apart = abs(one.height - two.height)
+    apart = abs(first.height - second.height)
     assert f"difference of the base height {1e3 * apart:.3g} mm" in finding.message
 
 

@@ -91,9 +91,11 @@ def test_degrees_for_radians_in_the_compiler_are_one_cause(tmp_path: Path) -> No
 def test_exchanged_limbs_are_one_cause(tmp_path: Path) -> None:
     text = mjcf_text(quadruped())
     for kind in ("hip", "knee"):
-        for one, two in (("0", "1"), ("2", "3")):
-            text = text.replace(f'"{kind}{one}"', "@").replace(f'"{kind}{two}"', f'"{kind}{one}"')
-            text = text.replace("@", f'"{kind}{two}"')
+        for first, second in (("0", "1"), ("2", "3")):
+            text = text.replace(f'"{kind}{first}"', "@").replace(
+                f'"{kind}{second}"', f'"{kind}{first}"'
+            )
+            text = text.replace("@", f'"{kind}{second}"')
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
     assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
 

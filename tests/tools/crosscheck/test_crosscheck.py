@@ -206,10 +206,10 @@ def test_length_of_a_joint_axis_is_ignored(tmp_path: Path) -> None:
     """Both engines normalise the axis; yourdfpy would scale the motion of a slide."""
     tip = (Frame("tip", "rod", (0.1, 0.0, 0.0)),)
     text = urdf_text(arm(), tip)
-    one, two = (f'<axis xyz="{numbers((length, 0.0, 0.0))}"/>' for length in (1.0, 2.5))
-    assert one in text
-    text = text.replace(one, two)
-    assert text.count(two) == 1
+    first, second = (f'<axis xyz="{numbers((length, 0.0, 0.0))}"/>' for length in (1.0, 2.5))
+    assert first in text
+    text = text.replace(first, second)
+    assert text.count(second) == 1
     files = write(tmp_path, text, mjcf_text(arm(), tip, free=False))
     comparison = compare_files(files)
     assert comparison.agree

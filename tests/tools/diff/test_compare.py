@@ -328,14 +328,14 @@ def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> No
     """Closed form m g l |sin q|, the largest value at the evaluated positions."""
     old, new = pendulum(), pendulum(mass=3.0, com=(0.0, 0.0, -0.7))
     diff = diff_of(tmp_path, old, new, "urdf")
-    one, two = diff.torques["swing"]
-    assert two / one == pytest.approx(3.0 * 0.7 / (2.0 * 0.5), rel=1e-12)
+    first, second = diff.torques["swing"]
+    assert second / first == pytest.approx(3.0 * 0.7 / (2.0 * 0.5), rel=1e-12)
     files = write_both(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
     tree = from_pinocchio(pin.buildModelFromUrdf(str(files[0])), "base", ["swing"], {})
     positions = RandomStates(tree).qpos[:, 0]
     assert len(positions) == 10
     assert np.ptp(positions) > 1.0
-    assert one == pytest.approx(2.0 * 9.81 * 0.5 * np.abs(np.sin(positions)).max(), rel=1e-12)
+    assert first == pytest.approx(2.0 * 9.81 * 0.5 * np.abs(np.sin(positions)).max(), rel=1e-12)
 
 
 def test_base_mass_of_a_urdf_arm_changes_neither_mass_matrix_nor_gravity(tmp_path: Path) -> None:
@@ -422,8 +422,11 @@ def test_fixed_joint_equals_the_reduced_model_of_pinocchio(tmp_path: Path) -> No
     ours = to_pinocchio(tree)
     assert sorted(ours.names) == sorted([*reduced.names[:1], "__free__", "turn", "push"])
     for name in ("turn", "push"):
-        one, two = ours.inertias[ours.getJointId(name)], reduced.inertias[reduced.getJointId(name)]
-        assert one.isApprox(two, 1e-12)
+        first, second = (
+            ours.inertias[ours.getJointId(name)],
+            reduced.inertias[reduced.getJointId(name)],
+        )
+        assert first.isApprox(second, 1e-12)
         here = ours.jointPlacements[ours.getJointId(name)]
         assert here.isApprox(reduced.jointPlacements[reduced.getJointId(name)], 1e-12)
 

@@ -184,7 +184,7 @@ def test_rows_pair_an_action_with_its_observation_and_the_signals_before() -> No
     numbers = arrays["observations"][:, 0].tolist()
     assert numbers == [k for k in range(5, 40) if k not in (20, 30)]
     assert left_out == len(series["actions"]) - len(numbers)
-    assert all(one < two for one, two in itertools.pairwise(arrays["time"]))
+    assert all(first < second for first, second in itertools.pairwise(arrays["time"]))
     with pytest.raises(MeasurementError, match="19 observations and 19 actions"):
         assemble_trace(make_series(19), "made")
 

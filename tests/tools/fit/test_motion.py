@@ -170,7 +170,7 @@ def test_joint_that_rests_does_not_fail_the_fit() -> None:
 def test_replay_is_recognised_by_its_commands() -> None:
     rng, time = np.random.default_rng(0), 0.01 * np.arange(800)
     phases = rng.uniform(0, 6, (2, 4, 3))
-    one, other = (
+    first, second = (
         sum(np.sin((2 + k) * time[:, None] + phase) for k, phase in enumerate(own))
         for own in phases
     )
@@ -180,17 +180,17 @@ def test_replay_is_recognised_by_its_commands() -> None:
         there = time[: len(command)]
         return LogSegment(there, command, command, command[:2], full & (not out), full & out)
 
-    recorded, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
-    assert measure_replay([recorded, run(one[37:637] + noise, out=True)]) > 0.99
-    assert measure_replay([recorded, run(other[:600], out=True)]) < 0.9
+    recorded, noise = run(first, out=False), 0.01 * rng.normal(size=first[:600].shape)
+    assert measure_replay([recorded, run(first[37:637] + noise, out=True)]) > 0.99
+    assert measure_replay([recorded, run(second[:600], out=True)]) < 0.9
     assert measure_replay([recorded]) == 0.0
     # Resting commands repeat nothing: their deviation from the mean is rounding.
     assert measure_replay([recorded, run(np.full((180, 3), 0.6), out=True)]) == 0.0
     # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
-    late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
+    late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in first.T])
     again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))
     assert measure_repeatability([recorded, again]) == pytest.approx(3e-3 / np.sqrt(2), rel=0.05)
-    assert math.isnan(measure_repeatability([recorded, run(other[:600], out=False)]))
+    assert math.isnan(measure_repeatability([recorded, run(second[:600], out=False)]))
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:

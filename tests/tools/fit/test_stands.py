@@ -286,8 +286,8 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
     place = np.array([0.01, 0.024, -0.06])
     heavier = with_payload(robot, 0.4, (link, *place)).structure.model.copy()
     c, s = math.cos(0.5), math.sin(0.5)
-    one, two, size = 3e-5, -2e-5, np.linalg.norm(robot.gravity)
-    down = size * np.array([one, two, -math.sqrt(1 - one**2 - two**2)])
+    first, second, size = 3e-5, -2e-5, np.linalg.norm(robot.gravity)
+    down = size * np.array([first, second, -math.sqrt(1 - first**2 - second**2)])
     # What points along the ground's x points to the right of a robot that is turned to the left.
     heavier.gravity.linear = np.array(
         [c * down[0] + s * down[1], c * down[1] - s * down[0], down[2]]
@@ -643,8 +643,8 @@ def test_two_errors_of_the_wiring_are_found(
 ) -> None:
     """Reference: the applied errors. The evidence is lower by 50 for each wrong column."""
     order, signs = np.arange(robot.nu), np.ones(robot.nu)
-    for one, other in pairs:
-        order[[one, other]] = order[[other, one]]
+    for first, second in pairs:
+        order[[first, second]] = order[[second, first]]
     signs[negated] = -1.0
     wrong = replace(
         stands,

@@ -382,8 +382,8 @@ def test_colour_depends_on_motor_utilisation() -> None:
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[type-arg]
-    one, two, three = (vertices[faces[:, corner]] for corner in range(3))
-    return float(np.einsum("ij,ij->i", one, np.cross(two, three)).sum() / 6)
+    first, second, three = (vertices[faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->i", first, np.cross(second, three)).sum() / 6)
 
 
 @pytest.mark.parametrize(

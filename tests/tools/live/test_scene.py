@@ -140,6 +140,6 @@ def test_drawn_support_polygon_has_all_corners(num_corners: int) -> None:
     corners = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(num_corners)])
     scene._draw_support(SimpleNamespace(polygon=corners), held=True)  # type: ignore[arg-type]
     ((vertices, faces),) = made
-    one, two, three = (vertices[faces[:, column]] for column in range(3))
-    area = np.cross(two - one, three - one)[:, 2].sum() / 2
+    first, second, three = (vertices[faces[:, column]] for column in range(3))
+    area = np.cross(second - first, three - first)[:, 2].sum() / 2
     assert area == pytest.approx(num_corners / 2 * np.sin(2 * np.pi / num_corners), abs=1e-12)

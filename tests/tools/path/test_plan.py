@@ -115,17 +115,17 @@ def test_rolling_feet_have_no_slip_velocity(name: str, kind: str) -> None:
     path = stance_path(robot, stances(name, kind), 3.0, rate=60.0)
     slow, fast = 0.0, 0.0
     for index in range(len(path.time) - 1):
-        one, two = (pa.Configuration(robot, path.qpos[i]) for i in (index, index + 1))
+        first, second = (pa.Configuration(robot, path.qpos[i]) for i in (index, index + 1))
         for column, foot in enumerate(robot.contact_points):
             if not path.stance_feet[index : index + 2, column].all():
                 continue
             frame, down = robot.contact_frames[foot], -robot.contact_radius[foot] * UP
-            turn = two.frame_rotation(frame) @ one.frame_rotation(frame).T
+            turn = second.frame_rotation(frame) @ first.frame_rotation(frame).T
             half = pin.exp3(pin.log3(turn) / 2)  # the point that is lowest half way between
-            moved = two.frame_position(frame) + half @ down
-            moved -= one.frame_position(frame) + half.T @ down
+            moved = second.frame_position(frame) + half @ down
+            moved -= first.frame_position(frame) + half.T @ down
             slow = max(slow, float(np.linalg.norm(moved[:2])))
-            rolled = two.frame_position(frame) - one.frame_position(frame)
+            rolled = second.frame_position(frame) - first.frame_position(frame)
             fast = max(fast, float(np.linalg.norm(rolled)))
     assert slow < 2e-3 * fast
 

@@ -69,8 +69,8 @@ def simulate_plainly(
         mujoco.mj_forward(model, data)
         torques.append(data.qfrc_actuator[6:].copy())
         speeds.append(data.qvel[6:].copy())
-        for one, two in data.contact.geom:
-            pair = {model.geom(one).type[0], model.geom(two).type[0]}
+        for first, second in data.contact.geom:
+            pair = {model.geom(first).type[0], model.geom(second).type[0]}
             fell |= pair not in ({mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE},)
     stands = not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
     return stands, np.array(torques), np.array(speeds)
@@ -134,15 +134,15 @@ def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
     config, data = pa.Configuration(robot, stand.qpos), evaluate_mujoco(robot, stand.qpos)
     com, ground = config.center_of_mass(), config.contact_points()
     (estimate,) = tipping_impulses(config, com, np.array([[1.0, 0.0]]))
-    one, two = sorted(ground.values(), key=lambda place: -place[0])[:2]
-    hinge = (two - one) / np.linalg.norm(two - one)
+    first, second = sorted(ground.values(), key=lambda place: -place[0])[:2]
+    hinge = (second - first) / np.linalg.norm(second - first)
     inertia = 0.0
     for body in range(1, robot.mj_model.nbody):
-        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - one
+        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - first
         inertia += robot.mj_model.body_inertia[body] @ (axes.T @ hinge) ** 2
         inertia += robot.mj_model.body_mass[body] * float(np.sum(np.cross(hinge, arm) ** 2))
-    lever = np.cross(hinge, com - one)
-    height, far = com[2] - one[2] - robot.contact_radius["FL"], one[0] - com[0]
+    lever = np.cross(hinge, com - first)
+    height, far = com[2] - first[2] - robot.contact_radius["FL"], first[0] - com[0]
     energy = robot.total_mass * 9.81 * (math.hypot(height, far) - height)
     expected = math.sqrt(2 * inertia * energy) / abs(lever[0])
     assert estimate == pytest.approx(expected, rel=1e-6)
@@ -424,8 +424,8 @@ def test_slow_fall_after_a_push_is_no_recovery(impulse: float, *, recovers: bool
 @pytest.mark.slow
 def test_pushes_are_deterministic() -> None:
     options = {"directions": 3, "duration": 3.0, "resolution": 0.5}
-    one, two = (push_recovery(load("v3"), stand_of("v3"), **options) for _ in range(2))  # type: ignore[arg-type]
-    assert one.to_json() == two.to_json()
+    first, second = (push_recovery(load("v3"), stand_of("v3"), **options) for _ in range(2))  # type: ignore[arg-type]
+    assert first.to_json() == second.to_json()
 
 
 def test_stand_without_a_push_does_not_move() -> None:

@@ -63,14 +63,14 @@ def test_pupper_by_patterns_is_pupper_by_scale() -> None:
         np.testing.assert_allclose(
             getattr(found.mj_model, name), getattr(expected.mj_model, name), atol=1e-12
         )
-    for one, other in zip(found.pin_model.inertias, expected.pin_model.inertias, strict=True):
+    for first, second in zip(found.pin_model.inertias, expected.pin_model.inertias, strict=True):
         np.testing.assert_allclose(
-            one.toDynamicParameters(), other.toDynamicParameters(), atol=1e-12
+            first.toDynamicParameters(), second.toDynamicParameters(), atol=1e-12
         )
-    for one, other in zip(
+    for first, second in zip(
         found.pin_model.jointPlacements, expected.pin_model.jointPlacements, strict=True
     ):
-        np.testing.assert_allclose(one.homogeneous, other.homogeneous, atol=1e-12)
+        np.testing.assert_allclose(first.homogeneous, second.homogeneous, atol=1e-12)
     assert found.stand_height == pytest.approx(expected.stand_height, rel=1e-6)
 
 

@@ -54,9 +54,9 @@ def test_link_frames_that_are_turned(
     if side == "mjcf":
         words = re.findall(r'"([^"]*)"', urdf_text(ROBOT))
         after = re.findall(r'"([^"]*)"', files.urdf.read_text())
-        for one, two in zip(words, after, strict=True):
-            if one != two:
-                numbers = [[float(word) for word in text.split()] for text in (one, two)]
+        for first, second in zip(words, after, strict=True):
+            if first != second:
+                numbers = [[float(word) for word in text.split()] for text in (first, second)]
                 assert numbers[0] == pytest.approx(numbers[1], rel=1e-11, abs=1e-11)
 
 

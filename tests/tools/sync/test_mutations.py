@@ -210,7 +210,7 @@ def changed_attributes(before: str, after: str) -> int:
     assert len(spans[0]) == len(spans[1])
     blank = [ATTRIBUTE.sub(lambda found: f"{found[1]}=", text) for text in (before, after)]
     assert blank[0] == blank[1]
-    return sum(one[2] != two[2] for one, two in zip(*spans, strict=True))
+    return sum(first[2] != second[2] for first, second in zip(*spans, strict=True))
 
 
 def restore_by_sync(pair: Pair, seed: int) -> str | None:

@@ -215,23 +215,23 @@ def test_intervals_are_reproducible_and_their_ends_are_exact(trot: Policy) -> No
     """Reference: a separate run at each end tracks, and a run beyond does not; repeated bit by
     bit with three workers."""
     robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
-    one, two = (
+    first, second = (
         tracked_intervals(
             robot, trot, command, seeds=2, quantities=names, seconds=3, workers=workers
         )
         for workers in (1, 3)
     )
-    assert one.seeds == (0, 1)
-    assert one.to_json() == two.to_json()
+    assert first.seeds == (0, 1)
+    assert first.to_json() == second.to_json()
     stage = prepare_stage(robot, trot)
     ends = 0
-    for interval in one.intervals:
+    for interval in first.intervals:
         sides = ((interval.least, interval.below), (interval.most, interval.above))
         failures = (interval.ended_below, interval.ended_above)
         assert (interval.upright_least <= interval.least).all()
         assert (interval.upright_most >= interval.most).all()
         for side, (good, bad) in enumerate(sides):
-            for seed in one.seeds:
+            for seed in first.seeds:
                 assert (failures[side][seed] == "") == math.isnan(bad[seed])
                 for value, tracks in ((good[seed], True), (bad[seed], False)):
                     if not math.isnan(value):
@@ -409,11 +409,11 @@ def test_stated_order_is_ranked_first_for_any_number_of_workers(own: Orders, tro
     assert own.determined
     assert own.stated == 0
     assert own.candidates[0].tracked == 3
-    one, two = (
+    first, second = (
         rank_orders(load("v3"), trot, commands=made.TROT[:1], seconds=3, workers=workers)
         for workers in (1, 3)
     )
-    assert one.to_json() == two.to_json()  # to the last bit
+    assert first.to_json() == second.to_json()  # to the last bit
 
 
 @pytest.mark.slow

@@ -55,8 +55,8 @@ def read(layers: list[dict[str, Any]]) -> Network:
 def test_dense_layers_equal_plain_loops(activation: str) -> None:
     draw = np.random.default_rng(1)
     sizes, layers = (7, 9, 4), []
-    for one, two in itertools.pairwise(sizes):
-        weights = [draw.normal(size=(one, two)).tolist(), draw.normal(size=two).tolist()]
+    for first, second in itertools.pairwise(sizes):
+        weights = [draw.normal(size=(first, second)).tolist(), draw.normal(size=second).tolist()]
         layers.append({"type": "dense", "activation": activation, "weights": weights})
     network, given = read(layers), rows(5, 7)
     found, _ = network.forward(given)
@@ -85,13 +85,13 @@ def test_gru_equals_plain_loops(after: bool) -> None:
         else:
             state = np.array([[hidden]])
             found = gru(row[None, None], state, given, own, bias, reset_after=False)[:, 0]
-        one, two = product(row, given, bias[0]), product(hidden, own, bias[1])
+        first, second = product(row, given, bias[0]), product(hidden, own, bias[1])
         sig = BY_LOOPS["sigmoid"]
-        z = [sig(one[k] + two[k]) for k in range(u)]
-        r = [sig(one[u + k] + two[u + k]) for k in range(u)]
+        z = [sig(first[k] + second[k]) for k in range(u)]
+        r = [sig(first[u + k] + second[u + k]) for k in range(u)]
         kept = product([r[k] * hidden[k] for k in range(u)], own, bias[1])
-        last = [r[k] * two[2 * u + k] if after else kept[2 * u + k] for k in range(u)]
-        c = [math.tanh(one[2 * u + k] + last[k]) for k in range(u)]
+        last = [r[k] * second[2 * u + k] if after else kept[2 * u + k] for k in range(u)]
+        c = [math.tanh(first[2 * u + k] + last[k]) for k in range(u)]
         hidden = [(1 - z[k]) * c[k] + z[k] * hidden[k] for k in range(u)]
         assert found[0] == pytest.approx(hidden, abs=ALIKE)
 
@@ -364,10 +364,10 @@ def test_onnx_graph_equals_plain_loops(tmp_path: Path) -> None:
         (draw.normal(size=(8, 5)), np.ones(5)),
     ]
     network, row = read_graph(made.dense_onnx(layers, "Elu"), tmp_path), rows(1, 6)[0]
-    one, two = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
-    hidden = [BY_LOOPS["elu"](x) for x in product(row, *one)]
+    first, second = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
+    hidden = [BY_LOOPS["elu"](x) for x in product(row, *first)]
     found, _ = network.forward(row[None])
-    assert found[0] == pytest.approx(product(hidden, *two), abs=ALIKE)
+    assert found[0] == pytest.approx(product(hidden, *second), abs=ALIKE)
 
 
 def make_external_graph(location: str, numbers: np.ndarray, **entries: int) -> bytes:
