@@ -145,7 +145,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
         command: Command.
         arguments: Words after the program name; None: the command-line arguments of the process.
     """
-    os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
+    os.environ["MPLBACKEND"] = "agg"  # figures are written to files
     gc.set_threshold(*GC_THRESHOLDS)
     given = sys.argv[1:] if arguments is None else list(arguments)
     debug = DEBUG_OPTION in given
@@ -257,7 +257,7 @@ def _print_error(text: str, *next_commands: str, language: str = "en") -> None:
 def _disable_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:
     """Set the environment variable NO_COLOR if ``--no-color`` was typed; called by click."""
     if given:
-        os.environ["NO_COLOR"] = "1"  # which rich heeds wherever it prints
+        os.environ["NO_COLOR"] = "1"  # rich prints without colour
 
 
 def main() -> None:
