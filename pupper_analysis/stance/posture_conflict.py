@@ -2,10 +2,10 @@
 
 The input is the configuration with the smallest residuals that a solver found. The output is a
 `PostureConflict`. Let this configuration be a minimum of the weighted squared residuals. A step
-that reduces the residual of the task then increases residuals of other tasks, or moves joints
-beyond their limits, or no step has a first-order effect. The gradients of the weighted squared
-residuals, by central finite differences, show which tasks and limits oppose the task. This follows
-from the Karush-Kuhn-Tucker conditions of the least-squares problem of `stance.whole_body`.
+that reduces the residual of the task then increases residuals of other tasks or moves joints beyond
+their limits. In the third case, no step has a first-order effect. The gradients of the weighted
+squared residuals, by central finite differences, show which tasks and limits oppose the task. This
+follows from the Karush-Kuhn-Tucker conditions of the least-squares problem of `stance.whole_body`.
 """
 
 from __future__ import annotations
