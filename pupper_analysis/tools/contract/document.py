@@ -229,9 +229,9 @@ def _shorten_source(contract: Contract, name: str) -> doc.Words:
 def select_next_step(contract: Contract, typed: Sequence[str] = ()) -> doc.NextStep:
     """Return the command to suggest next.
 
-    It is `crosscheck` of the models, `contract` with ``-v`` for lists that were not read, `walk`
-    with the files of the deployment, `gains` with the gains of a source (for example if these
-    gains do not hold the default pose), `stand` or `hold`.
+    Possible commands: `crosscheck` of the models, `contract` with ``-v`` for lists that were not
+    read, `walk` with the files of the deployment, `gains` with the gains of a source, `stand` and
+    `hold`. `gains` is suggested, for example, if these gains do not hold the default pose.
 
     Args:
         contract: Contract.

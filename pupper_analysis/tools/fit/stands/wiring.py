@@ -35,8 +35,8 @@ that are fitted, because a fit is slow. Chosen, not tuned.
 
 
 _MAX_EXTENDED_WIRINGS = 1
-"""Upper bound of the number of wirings with one error, the most probable first, to which a second
-error is added if no wiring with one error explains the stands. Chosen, not tuned.
+"""Upper bound of the number of most probable wirings with one error to which a second error is
+added, if no wiring with one error explains the stands. Chosen, not tuned.
 """
 
 
@@ -144,8 +144,8 @@ def find_wiring(
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
     Candidates are wirings that differ from the present wiring by one error (`generate_wirings`), or
-    by two. They are ranked by the log evidence of the measurements, linearised about the stated
-    values. The most probable candidates are fitted.
+    by two errors. The candidates are ranked by the log evidence of the measurements, linearised
+    about the stated values. The most probable candidates are fitted.
 
     Args:
         robot: Robot.
