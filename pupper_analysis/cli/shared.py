@@ -339,7 +339,12 @@ class Command(click.Command):
             if not similar and (about := _find_options_about(error.option_name, self.params)):
                 hint = f" An option with this word in its help is {' or '.join(map(repr, about))}."
             message = f"No such option {error.option_name!r}.{hint}"
-            raise click.NoSuchOption(error.option_name, message, ctx=error.ctx) from error
+            refusal = click.NoSuchOption(error.option_name, message, ctx=error.ctx)
+            if len(similar) == 1:
+                refusal.add_note(
+                    self._replace_option(ctx, ctx.meta[TYPED_WORDS], error.option_name, similar[0])
+                )
+            raise refusal from error
         except click.UsageError as error:
             if found := _EXTRA_ARGUMENTS.fullmatch(error.message):
                 usage = " ".join((ctx.command_path, *self._list_metavars(ctx).values()))
@@ -361,7 +366,27 @@ class Command(click.Command):
             single = word[:1] == "-" and word[:2] != "--" and len(name) > _SHORT_OPTION_LENGTH
             if wanted in options and (bare or single):
                 message = f"No such option {name!r}. Did you mean {wanted!r}?"
-                raise click.NoSuchOption(name, message, ctx=ctx)
+                refusal = click.NoSuchOption(name, message, ctx=ctx)
+                refusal.add_note(self._replace_option(ctx, words, name, wanted))
+                raise refusal
+
+    def _replace_option(
+        self, ctx: click.Context, words: Sequence[str], unknown: str, name: str
+    ) -> str:
+        """Create the typed command line with an option in place of an unknown option.
+
+        Empty if the option does not accept the typed value.
+        """
+        pattern = re.compile(rf"{re.escape(unknown)}(?==|$)")
+        place = next((place for place, word in enumerate(words) if pattern.match(word)), None)
+        if place is None:  # part of several short options in one word
+            return ""
+        replaced = pattern.sub(name, words[place])
+        option = next(one for one in self.params if name in one.opts)
+        value = replaced.partition("=")[2] or (*words[place + 1 :], "")[0]
+        if not _accepts_value(option, value, ctx):
+            return ""
+        return _join_command(self, (*words[:place], replaced, *words[place + 1 :]))
 
     def _refuse_repetition(self, ctx: click.Context) -> None:
         """Refuse different values of an option that is not repeatable, or of a NAME in NAME=VALUE.
@@ -775,6 +800,19 @@ def _complete_choice(context: click.Context, typed: str, chosen: str) -> str:
     is_robot = is_variant(typed) or is_published_name(typed) or _is_path(typed)
     words[place : place if is_robot else place + 1] = [chosen]
     return _join_command(context.command, words)
+
+
+def _accepts_value(option: click.Parameter, value: str, context: click.Context) -> bool:
+    """Return True if a typed value has the form and the type that an option requires."""
+    if isinstance(option, click.Option) and option.is_flag:
+        return True
+    if (option.metavar or "").partition("=")[0].isupper() and "=" in (option.metavar or ""):
+        return "=" in value
+    try:
+        option.type.convert(value, option, context)
+    except click.BadParameter:
+        return False
+    return value != ""
 
 
 _SYNONYMS = {

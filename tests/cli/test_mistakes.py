@@ -501,3 +501,31 @@ def test_typed_unit_of_a_length_is_not_questioned(typed: tuple[str, str], refusa
     assert refused.returncode == 2
     assert refusal in refused.stderr
     assert "millimetres" not in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("stand", "v3", "--pich", "5deg"), "stand v3 --pitch 5deg"),
+        (("stand", "v3", "--pich=5deg", "--kp", "5"), "stand v3 --pitch=5deg --kp 5"),
+        (("stand", "v3", "--explan"), "stand v3 --explain"),
+        (("payload", "v3", "--mass", "2kg"), "payload v3 --payload 2kg"),
+        (("stand", "v3", "height=12cm"), "stand v3 --height=12cm"),
+        (("stand", "v3", "-height", "12cm"), "stand v3 --height 12cm"),
+        (("stand", "v3", "--pich", "10"), ""),  # 10 rad would be refused
+        (("stand", "v3", "--heigth"), ""),
+        (("hold", "v3", "--posture", "home"), ""),  # --joints requires NAME=POSITION
+    ],
+    ids=str,
+)
+def test_error_of_an_unknown_option_proposes_the_command_with_the_similar_option(
+    arguments: tuple[str, ...], line: str
+) -> None:
+    assert read_proposed_command(*arguments) == line
+
+
+def read_proposed_command(*arguments: str) -> str:
+    """Run a command that must be refused, and return the proposed next command; else empty."""
+    result = answer(*arguments)
+    assert result.returncode == 2
+    return result.stderr.partition("  next: pupper-analysis ")[2].strip()
