@@ -330,7 +330,7 @@ class Command(click.Command):
             raise
         except click.BadOptionUsage as error:
             error.ctx = error.ctx or ctx
-            raise
+            raise self._add_example_value(error) from error
         except click.NoSuchOption as error:
             similar = _find_similar_options(
                 error.option_name, [name for option in self.params for name in option.opts]
@@ -369,6 +369,22 @@ class Command(click.Command):
                 refusal = click.NoSuchOption(name, message, ctx=ctx)
                 refusal.add_note(self._replace_option(ctx, words, name, wanted))
                 raise refusal
+
+    def _add_example_value(self, error: click.BadOptionUsage) -> click.BadOptionUsage:
+        """Add an example from the help to the error about an option whose value is missing."""
+        option = next((one for one in self.params if error.option_name in one.opts), None)
+        found = _EXAMPLE_IN_HELP.search(getattr(option, "help", None) or "")
+        context = error.ctx
+        if option is None or found is None or context is None or not _is_last_word(error, context):
+            return error
+        example = found[1].rstrip(".,;").strip("'")
+        if isinstance(option.type, click.Path) or not _accepts_value(option, example, context):
+            return error
+        message = f"{error.message.rstrip('.')}, e.g. {example}."
+        extended = click.BadOptionUsage(error.option_name, message, context)
+        if not _requires_name(option):  # the robot may have other names
+            extended.add_note(_join_command(self, (*context.meta[TYPED_WORDS], example)))
+        return extended
 
     def _replace_option(
         self, ctx: click.Context, words: Sequence[str], unknown: str, name: str
@@ -802,11 +818,22 @@ def _complete_choice(context: click.Context, typed: str, chosen: str) -> str:
     return _join_command(context.command, words)
 
 
+def _is_last_word(error: click.BadOptionUsage, context: click.Context) -> bool:
+    """Return True if the option that an error names is the last typed word."""
+    return tuple(context.meta[TYPED_WORDS][-1:]) == (error.option_name,)
+
+
+def _requires_name(option: click.Parameter) -> bool:
+    """Return True if an option requires the form NAME=VALUE, with the name of a joint or foot."""
+    form = _ASSIGNMENT_FORM.match(option.metavar or "")
+    return form is not None and not form[1]
+
+
 def _accepts_value(option: click.Parameter, value: str, context: click.Context) -> bool:
     """Return True if a typed value has the form and the type that an option requires."""
     if isinstance(option, click.Option) and option.is_flag:
         return True
-    if (option.metavar or "").partition("=")[0].isupper() and "=" in (option.metavar or ""):
+    if _requires_name(option):
         return "=" in value
     try:
         option.type.convert(value, option, context)
@@ -1228,6 +1255,9 @@ _NUMBER_START = re.compile(r"[+-]?\d+([.,]\d+)?")
 
 _XACRO_ASSIGNMENT = re.compile(r"^([^=]*?):=")
 """Name and first separator of a text in xacro's form ``NAME:=VALUE``."""
+
+_EXAMPLE_IN_HELP = re.compile(r"e\.g\.\s+(\S+)")
+"""First example of a value in the help of an option, such as ``e.g. 0.5kg.``"""
 
 _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 """Example of a value with an equals sign in the help of an option, such as ``e.g. FR=30mm.``"""

@@ -529,3 +529,26 @@ def read_proposed_command(*arguments: str) -> str:
     result = answer(*arguments)
     assert result.returncode == 2
     return result.stderr.partition("  next: pupper-analysis ")[2].strip()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "example"),
+    [
+        (("stand", "v3", "--payload"), "0.5kg"),
+        (("payload", "v3-heavy", "--continuous"), "0.4"),
+        (("stand", "v3", "--height"), "180mm"),
+        (("stand", "v3", "--kp"), "20"),
+    ],
+    ids=str,
+)
+def test_error_of_an_option_without_value_contains_an_example(
+    arguments: tuple[str, ...], example: str
+) -> None:
+    assert f"{arguments[-1]}' requires an argument, e.g. {example}. (see" in run_refused(*arguments)
+    assert read_proposed_command(*arguments) == " ".join((*arguments, example))
+
+
+def test_error_of_an_option_without_value_proposes_no_file_and_no_name_of_a_joint() -> None:
+    assert "requires an argument, e.g. FR=30mm. (see" in run_refused("stand", "v3", "--swing")
+    assert read_proposed_command("stand", "v3", "--swing") == ""
+    assert read_proposed_command("stand", "v3", "--start") == ""
