@@ -322,9 +322,9 @@ class Command(click.Command):
                     point=point,
                     unit=_find_unit(error.param) if found[2] == "float" else "",
                 )
-                raise click.BadParameter(
-                    str(problem), error.ctx, error.param, error.param_hint
-                ) from error
+                refusal = click.BadParameter(str(problem), error.ctx, error.param, error.param_hint)
+                refusal.add_note(_complete_value(error.param, problem))
+                raise refusal from error
             if error.param is not None and isinstance(error.param.type, click.Choice):
                 raise _suggest_choice(error, error.param.type) from error
             raise
@@ -339,12 +339,12 @@ class Command(click.Command):
             if not similar and (about := _find_options_about(error.option_name, self.params)):
                 hint = f" An option with this word in its help is {' or '.join(map(repr, about))}."
             message = f"No such option {error.option_name!r}.{hint}"
-            refusal = click.NoSuchOption(error.option_name, message, ctx=error.ctx)
+            unknown = click.NoSuchOption(error.option_name, message, ctx=error.ctx)
             if len(similar) == 1:
-                refusal.add_note(
+                unknown.add_note(
                     self._replace_option(ctx, ctx.meta[TYPED_WORDS], error.option_name, similar[0])
                 )
-            raise refusal from error
+            raise unknown from error
         except click.UsageError as error:
             if found := _EXTRA_ARGUMENTS.fullmatch(error.message):
                 usage = " ".join((ctx.command_path, *self._list_metavars(ctx).values()))
@@ -529,6 +529,8 @@ class Command(click.Command):
                 from pupper_analysis.cli.next_step import complete_command_without
 
                 error.add_note(complete_command_without(problem.values["others"]))
+            if line := _complete_value(_find_running_option(str(error.field)), problem):
+                error.add_note(line)
             if named := self._rename_field(context, error):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)
@@ -712,7 +714,10 @@ def _refuse_other_dashes(
             wanted = f"--{word.lstrip(f'-{_DASHES}')}"
         if wanted and not _is_path(word):
             problem = diagnose("dash-is-no-hyphen", given=word, wanted=wanted)
-            raise click.UsageError(str(problem), context)
+            refusal = click.UsageError(str(problem), context)
+            corrected = [wanted if one == word else one for one in words]
+            refusal.add_note(_join_command(context.command, corrected))
+            raise refusal
 
 
 def _is_path(word: str) -> bool:
@@ -729,14 +734,19 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
     """
     known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
     known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
-    for number, unit in pairwise(words):
+    for place, (number, unit) in enumerate(pairwise(words)):
         if unit.lower() in known and not _is_path(unit):
             with suppress(ValueError):
                 value = number.rpartition("=")[2]
                 float(value)
                 given, wanted = f"{value} {unit}", f"{value}{known[unit.lower()]}"
                 code = "unit-apart" if known[unit.lower()] else "unit-not-typed"
-                raise click.UsageError(str(diagnose(code, given=given, wanted=wanted)), context)
+                problem = diagnose(code, given=given, wanted=wanted)
+                refusal = click.UsageError(str(problem), context)
+                joined = f"{number.removesuffix(value)}{wanted}"
+                corrected = (*words[:place], joined, *words[place + 2 :])
+                refusal.add_note(_join_command(context.command, corrected))
+                raise refusal
 
 
 _NUMBER_WORD = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?([a-z°µ]*|%)", re.IGNORECASE)
@@ -778,7 +788,11 @@ def _refuse_separate_values(
             continue
         given = " ".join((value, *numbers))
         message = diagnose("values-apart", given=given, wanted=f"{option} {wanted}")
-        raise click.UsageError(str(message), context)
+        refusal = click.UsageError(str(message), context)
+        end = place + (1 if equals else 2) + len(numbers)
+        corrected = (*words[:place], option, wanted, *words[end:])
+        refusal.add_note(_join_command(context.command, corrected))
+        raise refusal
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
@@ -1152,7 +1166,10 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         try:
             return parse_quantity(self.name, str(value))
         except ValueError:
-            self.fail(str(_describe_invalid_quantity(self.name, str(value))), param, ctx)
+            problem = _describe_invalid_quantity(self.name, str(value))
+            refusal = click.BadParameter(str(problem), ctx, param)
+            refusal.add_note(_complete_value(param, problem))
+            raise refusal from None
 
 
 def parse_quantity(kind: str, text: str) -> float:
@@ -1192,6 +1209,9 @@ _MISSING_UNIT_CODES = {
 """{quantity of `MAX_BARE_NUMBERS`: code of the message about a larger number without a unit}. The
 name of the quantity is also the name of the message's value.
 """
+
+_FIRST_UNITS = {"length": "mm", "angle": "deg", "time": "ms", "mass": "g"}
+"""{quantity of `_MISSING_UNIT_CODES`: first unit that the message proposes}."""
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -1346,6 +1366,41 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
         units=units,
         point=_write_decimal_point(text) or _spell_unit(kind, text),
     )
+
+
+def _complete_value(option: click.Parameter | None, problem: object) -> str:
+    """Create the typed command line with the correction of an option's invalid value.
+
+    A number without unit gets the first unit of the message, such as mm.
+
+    Args:
+        option: Option with the value.
+        problem: Message about the value; the correction is one of its values.
+
+    Returns:
+        Command line; empty without a correction.
+    """
+    context = click.get_current_context(silent=True)
+    if context is None or option is None or not isinstance(problem, Diagnostic):
+        return ""
+    kinds = [kind for kind, code in _MISSING_UNIT_CODES.items() if code == problem.code]
+    given = str(problem.values.get(kinds[0] if kinds else "part", ""))
+    unit = _FIRST_UNITS[kinds[0]] if kinds else ""
+    wanted = f"{given}{unit}" if kinds else str(problem.values.get("point") or "")
+    if not given or not wanted:
+        return ""
+    pattern = re.compile(rf"(?<![^=,:]){re.escape(given)}(?![^=,:])")
+    typed = list(map(str, context.meta.get(TYPED_WORDS, ())))
+    words = list(typed)
+    for place, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        if name not in option.opts:
+            continue
+        if equals:
+            words[place] = f"{name}={pattern.sub(wanted, value)}"
+        elif place + 1 < len(words):
+            words[place + 1] = pattern.sub(wanted, words[place + 1])
+    return "" if words == typed else _join_command(context.command, words)
 
 
 def _spell_unit(kind: str, text: str) -> str:

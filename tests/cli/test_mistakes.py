@@ -552,3 +552,26 @@ def test_error_of_an_option_without_value_proposes_no_file_and_no_name_of_a_join
     assert "requires an argument, e.g. FR=30mm. (see" in run_refused("stand", "v3", "--swing")
     assert read_proposed_command("stand", "v3", "--swing") == ""
     assert read_proposed_command("stand", "v3", "--start") == ""
+
+
+@pytest.mark.parametrize(
+    ("typed", "line"),
+    [
+        ("path v3 --height 120 --kp 120", "path v3 --height 120mm --kp 120"),
+        ("stand v3 --height=120", "stand v3 --height=120mm"),
+        ("stand v3 --height 12CM", "stand v3 --height 12cm"),
+        ("stand v3 --height 12 cm --kp 5", "stand v3 --height 12cm --kp 5"),
+        ("stand v3 --pitch 60", "stand v3 --pitch 60deg"),
+        ("stand v3 --swing FL=120", "stand v3 --swing FL=120mm"),
+        ("stand v3 --offset 0,120", "stand v3 --offset 0,120mm"),
+        ("stand v3 --contact FL=table:120", "stand v3 --contact FL=table:120mm"),
+        ("stand v3 --kp leg_*_1=20 N/m", "stand v3 --kp 'leg_*_1=20'"),
+        ("stand v3 --kp 20Nm", "stand v3 --kp 20"),
+        ("gains v3 --encoder-bits 14bit", "gains v3 --encoder-bits 14"),
+        ("stand v3 \u2013height 12cm", "stand v3 --height 12cm"),
+        ("payload v3 --payload-at=0 0 8cm --kp 5", "payload v3 --payload-at 0,0,8cm --kp 5"),
+        ("gains v3 --rate fast", ""),
+    ],
+)
+def test_error_of_a_value_proposes_the_command_with_the_valid_value(typed: str, line: str) -> None:
+    assert read_proposed_command(*typed.split()) == line
