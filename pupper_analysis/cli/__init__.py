@@ -96,7 +96,12 @@ class LazyGroup(click.Group):
             if not alike and _is_robot(name):
                 line = shlex.join([GENERATOR_NAME, "stand", *args])
                 hint = f"{name} is a robot; type {line}"
-            raise click.UsageError(f"No such command {name!r}. {hint}".strip(), ctx)
+            refusal = click.UsageError(f"No such command {name!r}. {hint}".strip(), ctx)
+            if not alike and hint:
+                refusal.add_note(line)
+            elif alike:
+                refusal.add_note(shlex.join([GENERATOR_NAME, alike[0], *args[1:]]))
+            raise refusal
         return super().resolve_command(ctx, args)
 
     def format_commands(

@@ -575,3 +575,16 @@ def test_error_of_an_option_without_value_proposes_no_file_and_no_name_of_a_join
 )
 def test_error_of_a_value_proposes_the_command_with_the_valid_value(typed: str, line: str) -> None:
     assert read_proposed_command(*typed.split()) == line
+
+
+@pytest.mark.parametrize(
+    ("typed", "line"),
+    [
+        ("crosschek v3", "crosscheck v3"),
+        ("stnad v3 --kp 5", "stand v3 --kp 5"),
+        ("v3 --kp 5", "stand v3 --kp 5"),
+        ("xyzzy v3", ""),
+    ],
+)
+def test_error_of_a_command_proposes_the_most_similar_command(typed: str, line: str) -> None:
+    assert read_proposed_command(*typed.split()) == line
