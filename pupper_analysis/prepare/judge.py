@@ -56,7 +56,7 @@ from pupper_analysis.robot.build import (
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.masses import describe_missing_masses
-from pupper_analysis.robot.robot import Robot, get_loaded_robot
+from pupper_analysis.robot.robot import Robot, compute_added_mass, get_loaded_robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
 from pupper_analysis.simulation.trial import (
@@ -126,7 +126,7 @@ def judge_simulation(
     published = compare_as_published(robot, stand, servos, kp, kd)
     unknown = None if statics is None else describe_unknown_limits(robot, statics)
     masses = describe_missing_masses(robot)
-    loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
+    loaded_more = compute_added_mass(robot) > 0
     given = servos.source is ServoSource.GIVEN
     overloaded_motors = (
         ()
@@ -354,11 +354,6 @@ def _list_overloaded_joints(
         else list_overloaded_joints(robot, statics, positions)
     )
     return tuple(name for name in overloaded if name not in null)
-
-
-_MASS_RTOL = 1e-9
-"""Lower bound [1] of the relative increase of the robot's mass since loading, with which the
-increase counts as a payload. Smaller increases are rounding errors. Chosen, not tuned."""
 
 
 def _report_buried_foot(

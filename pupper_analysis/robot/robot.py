@@ -1018,6 +1018,16 @@ def get_loaded_robot(robot: Robot) -> Robot:
     return loaded if loaded.bare is None else loaded.bare
 
 
+def compute_added_mass(robot: Robot) -> float:
+    """Return the mass that the robot has in addition to its files, for example a payload [kg]."""
+    loaded = get_loaded_robot(robot).total_mass
+    return robot.total_mass - loaded if robot.total_mass > loaded * (1 + _MASS_RTOL) else 0.0
+
+
+_MASS_RTOL = 1e-9
+"""Lower bound [1] of the relative increase of the robot's mass since loading, with which the
+increase counts as a payload. Smaller increases are rounding errors. Chosen, not tuned."""
+
 _MAX_POOL_SIZE = 8
 """Maximum number of unused objects (for example MuJoCo data) in the pool of all robots (`borrow`).
 Chosen, not tuned."""

@@ -318,6 +318,7 @@ def stance(**changes: Any) -> Any:
         "soft_servos": None,
         "no_stiffness": None,
         "servos": SERVO_BOUNDS,
+        "added_mass": 0.0,
         "sagging": Stub(stays=False),
         "passed": False,
         "presses": (),

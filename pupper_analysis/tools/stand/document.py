@@ -229,7 +229,10 @@ def _is_tied(stance: Stance) -> bool:
 
 
 def _select_next_step(stance: Stance) -> NextStep:
-    """Return the command to run next: on the cause of a failure, otherwise mostly `payload`."""
+    """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
+
+    After a failure under a payload, the next command is `payload` without this payload.
+    """
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
     mismatch = stance.verification.mujoco_residual > MAX_UNREPORTED_RESIDUAL
@@ -249,6 +252,8 @@ def _select_next_step(stance: Stance) -> NextStep:
         step = _stiffen_soft_servos(stance) or step
     elif _is_damping_excessive(stance):
         step = NextStep("gains")
+    elif not verdict.passed and step.command == "best" and stance.added_mass > 0:
+        step = NextStep("payload", omitted=("--payload",))
     if step.command == "payload" and exceeds_explicit_damping(stance.servos):
         step = NextStep("gains")
     if "--minimum-stiffness" in step.words:

@@ -36,7 +36,7 @@ from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.passes import LoadRequest, PassRun, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, compute_added_mass
 from pupper_analysis.simulation.servo_bounds import (
     ServoBounds,
     SoftServos,
@@ -86,6 +86,8 @@ class Stance(Tabular):
             linear model.
         soft_servos: Servos whose low stiffness alone makes the stand with feed-forward fail. None
             without such servos, or if the stand has no linear model.
+        added_mass: Mass of the robot in addition to the mass in its files, for example of a payload
+            (kg).
     """
 
     _key_fields: ClassVar[tuple[str, ...]] = ("verdict", "name")
@@ -115,6 +117,7 @@ class Stance(Tabular):
     no_stiffness: Diagnostic | None
     servos: ServoBounds | None
     soft_servos: SoftServos | None = None
+    added_mass: float = field(default=0.0, metadata={"unit": "kg"})
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return the columns of the table of joints, shape (nu,) each, in SI units.
@@ -265,6 +268,7 @@ class SimulatedStance:
             no_stiffness=no_stiffness,
             servos=servos,
             soft_servos=soft,
+            added_mass=compute_added_mass(robot),
         )
 
 

@@ -319,6 +319,17 @@ def test_first_line_with_a_long_verdict_names_the_joint(
 
 
 @pytest.mark.slow
+def test_failure_under_a_payload_leads_to_the_largest_payload(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """40 kg on 3.17 kg: `best margin` with the same mass was proposed, and was refused."""
+    ended, out, _ = run_command(capfd, "stand", "v3", "--payload", "40kg", "--payload-at=0,0,1cm")
+    assert (ended, out.startswith("FAILS v3 + 40 kg at ")) == (1, True)
+    words = shlex.split(out.splitlines()[2].partition("next: ")[2])
+    assert words[1:] == ["payload", "v3", "--payload-at", "0,0,1cm"]
+
+
+@pytest.mark.slow
 def test_servos_below_the_least_stiffness_get_one_that_stands(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
