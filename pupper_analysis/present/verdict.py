@@ -366,14 +366,22 @@ def verdict_word(verdict: Verdict, *, ideal_servos: bool = False) -> Text:
     """Return the word that displays a verdict (HOLDS, FAILS ...), in English and Chinese.
 
     Restrictions are added to the word of a good verdict (`qualify_verdict_word`): a single model
-    file, and with ``ideal_servos`` also that the simulated servos are ideal.
+    file, effort limits that look like placeholders, and with ``ideal_servos`` also that the
+    simulated servos are ideal.
     """
     return qualify_verdict_word(
-        get_verdict_key(verdict), verdict.converted, ideal_servos=ideal_servos
+        get_verdict_key(verdict),
+        verdict.converted,
+        ideal_servos=ideal_servos,
+        placeholder_limits=any(
+            remark.code == "rests-on-placeholder-efforts" for remark in verdict.remarks
+        ),
     )
 
 
-def qualify_verdict_word(key: str, converted: str, *, ideal_servos: bool = False) -> Text:
+def qualify_verdict_word(
+    key: str, converted: str, *, ideal_servos: bool = False, placeholder_limits: bool = False
+) -> Text:
     """Add restrictions to the word of a good verdict: a single model file, and ideal servos.
 
     The agreement of two models proves nothing if one was converted from the other.
@@ -384,9 +392,12 @@ def qualify_verdict_word(key: str, converted: str, *, ideal_servos: bool = False
             none was converted.
         ideal_servos: Whether the simulated servos would be unstable as an explicit PD controller,
             because of their damping. MuJoCo integrates them implicitly.
+        placeholder_limits: Whether effort limits look like placeholders, such as 1000 N m. A load
+            relative to them has no meaning.
     """
     word = text(key)
-    if key in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN") or not (converted or ideal_servos):
+    restricted = converted or ideal_servos or placeholder_limits
+    if key in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN") or not restricted:
         return word
     if key == _QUALIFIED_KEY:  # the restriction leaves no room for the long form
         word = word.with_short_form(text("HOLDS with feed-forward, in short"))
@@ -397,6 +408,8 @@ def qualify_verdict_word(key: str, converted: str, *, ideal_servos: bool = False
         single=bool(converted),
         ideal=ideal_servos,
         both=bool(converted) and ideal_servos,
+        assumed=placeholder_limits,
+        separated=placeholder_limits and (bool(converted) or ideal_servos),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import round_down
 from pupper_analysis.present.document import (
@@ -32,7 +33,11 @@ from pupper_analysis.present.documents.standing import run_rows
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.present.verdict import make_published_clauses, qualify_verdict_word
+from pupper_analysis.present.verdict import (
+    make_published_clauses,
+    qualify_verdict_word,
+    verdict_word,
+)
 from pupper_analysis.robot.as_published import Published, PublishedRun
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.analyze import document as comparison
@@ -228,3 +233,37 @@ def test_good_verdict_states_ideal_servos(
 ) -> None:
     word = qualify_verdict_word(key, converted, ideal_servos=True)
     assert (get_english(word), word.zh) == (english, chinese)
+
+
+@pytest.mark.parametrize(
+    ("key", "ideal", "english", "chinese"),
+    [
+        (
+            "HOLDS",
+            True,
+            "HOLDS (URDF only; ideal servos; placeholder limits)",
+            "保持稳定（仅据 URDF；理想伺服；占位力矩上限）",
+        ),
+        (
+            "HOLDS",
+            False,
+            "HOLDS (URDF only; placeholder limits)",
+            "保持稳定（仅据 URDF；占位力矩上限）",
+        ),
+        ("FAILS", False, "FAILS", "未能保持"),
+    ],
+)
+def test_good_verdict_states_placeholder_limits(
+    key: str, ideal: bool, english: str, chinese: str
+) -> None:
+    """solo12 states 1000 N m at each joint: a load of 0.07 % of it has no meaning."""
+    word = qualify_verdict_word(key, "mjcf", ideal_servos=ideal, placeholder_limits=True)
+    assert (get_english(word), word.zh) == (english, chinese)
+    alone = qualify_verdict_word("HOLDS", "", placeholder_limits=True)
+    assert get_english(alone) == "HOLDS (placeholder limits)"
+
+
+def test_verdict_on_placeholder_limits_states_them() -> None:
+    remark = diagnose("rests-on-placeholder-efforts", joints=["knee"], count=1)
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, remarks=(remark,))
+    assert get_english(verdict_word(verdict)) == "HOLDS (placeholder limits)"
