@@ -184,6 +184,10 @@ def _parse_value(field: Field, text: str, given: str) -> Any:
     return shared.parse_measure(field.option, field.kind, text, given)
 
 
+_NO_SURFACE = ("none", "free", "air", "off", "swing")
+"""Words that users may type as the surface of a foot without contact."""
+
+
 def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     """Parse the text of a contact, such as ``wall:0.4m,mu=0.6``, into a contact surface.
 
@@ -203,6 +207,11 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(PLANE_NORMALS, 1)}
     if surface == "weld" and numbers == [""]:
         numbers, valid_words = [], ("place", "offset")
+    elif surface in _NO_SURFACE:
+        part = given.partition("=")[0]
+        raise ConfigurationError(
+            option, diagnose("contact-without-surface", given=given, part=part)
+        )
     elif sizes.get(kind) != len(numbers) or not first:
         forms = (
             "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, bar:X,Y,Z,DX,DY,DZ,R,"

@@ -393,6 +393,10 @@ def test_error_about_a_value_names_its_option(arguments: tuple[str, ...], messag
         (("best", "utilization", "v3"), "Did you mean 'utilisation'?"),
         (("stand", "v3", "--payload", "1kg", "--payload-at", "0;0;5cm"), "form X,Y,Z (10mm,0,0)"),
         (("hold", "v3", "--joints", "0,0,0"), "NAME=POSITION, e.g. elbow=90deg\n"),
+        (
+            ("stand", "v3", "--contact", "FL=none"),
+            "'FL=none' names no surface; to lift a foot, write --swing FL=30mm",
+        ),
         (("audit", "a.urdf", "b.xml"), "b.xml: too many arguments; usage: "),
         (("stand", "v3", "\u2013height", "12cm"), "instead of a hyphen, for example from a web"),
         (("stand", "v3", "\u2014height=12cm"), "write --height=12cm"),
