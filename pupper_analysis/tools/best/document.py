@@ -46,9 +46,13 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     more = [line for line in stand_document.details if get_english(line) != coordinates.en]
     step = _make_next_step(study, stand_document.next_step)
     limit = tuple(_describe_active_bounds(study.best))
-    messages: tuple[doc.Words, ...] = (_make_search_line(study), *limit, coordinates, *others)
+    result = _make_search_line(study)
+    word_of_verdict = stand_document.verdict
+    if word_of_verdict and not doc.fits_first_line(word_of_verdict, study.stance.name, result):
+        result = _make_search_line(study, full=False)
+    messages: tuple[doc.Words, ...] = (result, *limit, coordinates, *others)
     if not study.passed:  # the reason of the failure is line 2
-        messages = (_make_search_line(study), *others, *limit, coordinates)
+        messages = (result, *others, *limit, coordinates)
     details: tuple[doc.Words, ...] = (load, *more)
     failures, verdict = stand_document.failures, stand_document.verdict
     if study.best.payload is not None:
@@ -161,10 +165,11 @@ def _describe_active_bounds(best: BestStance) -> Iterator[doc.Text]:
         yield text("best-not-limited")
 
 
-def _make_search_line(study: BestStudy) -> doc.Text:
+def _make_search_line(study: BestStudy, *, full: bool = True) -> doc.Text:
     """Make the line with the value of the objective in the initial task and in the best stance.
 
-    A motor utilisation has the name and the torque of the most loaded motor.
+    A motor utilisation has the name and the torque of the most loaded motor. Unless ``full``, the
+    short form contains the utilisation without "of the limit".
     """
     best = study.best
     improved = best.improved
@@ -183,6 +188,7 @@ def _make_search_line(study: BestStudy) -> doc.Text:
             nominal=f"{100 * best.nominal_value:.4g}",
             rounded_nominal=f"{100 * best.nominal_value:.3g}",
             improved=improved,
+            full=full,
         )
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:

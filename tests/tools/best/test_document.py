@@ -150,7 +150,7 @@ def test_best_payload_states_that_it_needs_gravity_compensation(compensated: boo
     study.best.payload.depends_on_feedforward = compensated
     line = _make_search_line(study)
     condition = " gravity-compensated" if compensated else ""
-    assert line.short == f"payload 20.55 kg{condition}; 6.67 kg in the stance as given"
+    assert line.short == f"payload 20.55 kg{condition}; was 6.67 kg"
     assert ("with gravity compensation" in line.en) is compensated
 
 
