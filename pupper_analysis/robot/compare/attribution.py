@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,8 @@ from pupper_analysis.robot.compare.differences import (
     convention_changes,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
+    MjcfOnlyEffect,
+    list_couplings,
     make_passive_model,
     mjcf_only_effects,
     split_mimics,
@@ -46,7 +49,7 @@ from pupper_analysis.robot.compare.mjcf_only import (
 from pupper_analysis.robot.matching.alignment import Alignment, align_frames
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.matching.trees import Mimics, Reference, kinematic_trees
+from pupper_analysis.robot.matching.trees import Mimic, Mimics, Reference, kinematic_trees
 from pupper_analysis.robot.robot import Robot
 
 MAX_RESIDUAL = 1e-9
@@ -102,6 +105,9 @@ def explain_differences(
     mjcf_only = mjcf_only_effects(reference)
     coupled, uncoupled = split_mimics(mjcf_only, reference, mimics or {}, tolerances.limit)
     mjcf_only = [extra for extra in mjcf_only if extra not in coupled]
+    mimic_differences, mjcf_only = _report_mimics(
+        {name: (mimics or {})[name] for name in uncoupled}, mjcf_only, reference
+    )
     states = random_states(robot, count_affordable_states(robot, _NUM_STATES), seed=0)
     behaviour = Behaviour(robot, states)
     urdf = behaviour(first)
@@ -128,7 +134,7 @@ def explain_differences(
         )
         extra.switch(reduced_model, None)
         differences.append(extra.to_difference(effects))
-    differences += [_report_mimic(name, (mimics or {})[name]) for name in uncoupled]
+    differences += mimic_differences
     patched = behaviour(apply_changes(first, second))
     residual = _compute_residual(relative_error, patched, reduced)
     differences.sort(key=lambda difference: difference.rank)
@@ -242,17 +248,50 @@ def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
     )
 
 
-def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
-    """Create the difference for a mimic (leader, multiplier, offset) that the MJCF lacks."""
+def _report_mimics(
+    mimics: Mimics, mjcf_only: Sequence[MjcfOnlyEffect], reference: Reference
+) -> tuple[list[Difference], list[MjcfOnlyEffect]]:
+    """Create the differences for mimics without an equivalent joint equality in the MJCF.
+
+    If a linear equality couples the same two joints, the messages of both contain both couplings.
+
+    Returns:
+        Differences; the elements of ``mjcf_only``, with these messages.
+    """
+    others: dict[str, Mimic] = {}
+    effects = []
+    for effect in mjcf_only:
+        for joint, other in list_couplings(effect, reference).items():
+            mimic = mimics.get(joint)
+            if mimic is not None and mimic[0] == other[0] and joint not in others:
+                others[joint] = other
+                message = diagnose(
+                    "coupling-differs",
+                    subject=("equality", effect.element),
+                    follower=joint,
+                    **_describe_couplings(mimic, other),
+                )
+                effect = replace(effect, diagnostic=message)
+                break
+        effects.append(effect)
+    differences = []
+    for name, mimic in mimics.items():
+        message = diagnose(
+            "mimic-without-equality",
+            subject=("joint", name),
+            **_describe_couplings(mimic, others.get(name)),
+        )
+        differences.append(Difference("mimic", name, mimic, others.get(name), "", message, {}))
+    return differences, effects
+
+
+def _describe_couplings(mimic: Mimic, other: Mimic | None) -> dict[str, Any]:
+    """Return the values of a message on a mimic of the URDF, and on a coupling of the MJCF."""
     leader, multiplier, offset = mimic
-    message = diagnose(
-        "mimic-without-equality",
-        subject=("joint", name),
-        leader=leader,
-        multiplier=multiplier,
-        offset=offset,
-    )
-    return Difference("mimic", name, mimic, None, "", message, {})
+    values: dict[str, Any] = {"leader": leader, "multiplier": multiplier, "offset": offset}
+    if other is not None:
+        values |= {"factor": other[1], "constant": other[2]}
+    return values | {"coupled": other is not None}
 
 
 def armature_differences(

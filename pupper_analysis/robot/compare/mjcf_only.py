@@ -28,7 +28,7 @@ from pupper_analysis.models.transmission import (
     list_actuator_targets,
 )
 from pupper_analysis.robot.compare.differences import Stated
-from pupper_analysis.robot.matching.trees import Mimics, Reference
+from pupper_analysis.robot.matching.trees import Mimic, Mimics, Reference
 
 Slot = tuple[str, int | slice]
 """(name of an array of ``mjModel``, row or slice of rows). The name of an option has the prefix
@@ -341,9 +341,6 @@ def split_mimics(
 ) -> tuple[list[MjcfOnlyEffect], list[str]]:
     """Separate the joint equalities of an MJCF that are equivalent to a ``<mimic>`` of the URDF.
 
-    A mimic is q = m q_leader + c. MuJoCo's polynomial uses coordinates relative to ``qpos0``: q -
-    q0 = a0 + a1 (q_leader - q0_leader). Therefore m = a1 and c = a0 + q0 - a1 q0_leader.
-
     Args:
         found: Elements that only the MJCF can specify (`mjcf_only_effects`).
         reference: The MJCF.
@@ -354,24 +351,12 @@ def split_mimics(
     Returns:
         Equalities that are equivalent to a mimic; joints whose mimic has no equivalent equality.
     """
-    model = reference.model
     equivalent: list[MjcfOnlyEffect] = []
     unmatched = dict(mimics)
     for effect in found:
-        if effect.kind != "equality":
-            continue
-        index = int(effect.slots[0][1])  # type: ignore[arg-type]
-        data, ids = model.eq_data[index], (model.eq_obj1id[index], model.eq_obj2id[index])
-        if model.eq_type[index] != EQUALITY.mjEQ_JOINT.value or min(ids) < 0 or data[2:5].any():
-            continue
-        first, second = (reference.names.joint(int(joint)).name for joint in ids)
-        rest_positions = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in ids]
-        slope = float(data[1])
-        offset = float(data[0]) + rest_positions[0] - slope * rest_positions[1]
-        couplings = [(first, (second, slope, offset))]
-        if slope:
-            couplings.append((second, (first, 1 / slope, -offset / slope)))  # inverse coupling
-        for joint, (other_leader, multiplier, constant) in couplings:
+        for joint, (other_leader, multiplier, constant) in list_couplings(
+            effect, reference
+        ).items():
             leader, expected, shift = unmatched.get(joint, ("", 0.0, 0.0))
             is_equal = abs(multiplier - expected) <= tolerance * max(1.0, abs(expected))
             if leader == other_leader and is_equal and abs(constant - shift) <= tolerance:
@@ -379,6 +364,37 @@ def split_mimics(
                 del unmatched[joint]
                 break
     return equivalent, list(unmatched)
+
+
+def list_couplings(effect: MjcfOnlyEffect, reference: Reference) -> dict[str, Mimic]:
+    """List the mimic couplings that are equivalent to a linear joint equality of an MJCF.
+
+    A mimic is q = m q_leader + c. MuJoCo's polynomial uses coordinates relative to ``qpos0``: q -
+    q0 = a0 + a1 (q_leader - q0_leader). Therefore m = a1 and c = a0 + q0 - a1 q0_leader. If a1 is
+    not zero, either joint may be the leader.
+
+    Args:
+        effect: Element that only the MJCF can specify.
+        reference: The MJCF.
+
+    Returns:
+        {joint: coupling}; empty if the element is no linear equality of two joints.
+    """
+    model = reference.model
+    if effect.kind != "equality":
+        return {}
+    index = int(effect.slots[0][1])  # type: ignore[arg-type]
+    data, ids = model.eq_data[index], (model.eq_obj1id[index], model.eq_obj2id[index])
+    if model.eq_type[index] != EQUALITY.mjEQ_JOINT.value or min(ids) < 0 or data[2:5].any():
+        return {}
+    first, second = (reference.names.joint(int(joint)).name for joint in ids)
+    rest_positions = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in ids]
+    slope = float(data[1])
+    offset = float(data[0]) + rest_positions[0] - slope * rest_positions[1]
+    couplings: dict[str, Mimic] = {first: (second, slope, offset)}
+    if slope:
+        couplings[second] = (first, 1 / slope, -offset / slope)
+    return couplings
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:

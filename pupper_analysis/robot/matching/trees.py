@@ -306,9 +306,11 @@ def urdf_tree(
     return multibody.from_pinocchio(model, base, names, {name: name for name in frames})
 
 
-Mimics = Mapping[str, tuple[str, float, float]]
-"""Mimic couplings, {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader +
-offset."""
+Mimic = tuple[str, float, float]
+"""Mimic coupling q = multiplier q_leader + offset: (leader, multiplier, offset [rad, m])."""
+
+Mimics = Mapping[str, Mimic]
+"""Mimic couplings, {joint: coupling}."""
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:

@@ -548,6 +548,25 @@ def test_mimic_without_equal_equality_is_a_difference(
             assert by_kind["equality"].effects["forward dynamics"].relative > 1e-3
 
 
+def test_mimic_with_another_factor_states_both_couplings(tmp_path: Path) -> None:
+    """The MJCF couples the same two joints, with knee0 = 2.01 hip0 + 0.1, and the inverse."""
+    urdf = replace_once(URDF, **MIMIC)
+    inverse = '<joint joint1="hip0" joint2="knee0" polycoef="-0.05 0.4 0 0 0"/>'
+    for equality, in_mjcf, factor, constant in (
+        (OTHER["another factor"], "knee0 = 2.01 hip0 + 0.1", "2.01", "0.1"),
+        (inverse, "knee0 = 2.5 hip0 + 0.125", "2.5", "0.125"),
+    ):
+        text = replace_once(
+            MJCF, **{"</worldbody>": f"</worldbody><equality>{equality}</equality>"}
+        )
+        messages = {
+            difference.kind: difference.message
+            for difference in pair(tmp_path, text, urdf).differences
+        }
+        assert messages["mimic"].endswith(f"in the MJCF as well (times {factor}, plus {constant})")
+        assert f"{in_mjcf} in the MJCF, 2 hip0 + 0.1 in the URDF" in messages["equality"]
+
+
 def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) -> None:
     """q - q0 = a0 + a1 (q' - q0'): MuJoCo's own residual is zero on the mimic's line."""
     text = """<mujoco><compiler angle="radian"/><worldbody><body name="base">
