@@ -600,6 +600,24 @@ BROKEN = {
 }
 
 
+@pytest.mark.parametrize(("scale", "found"), [("0.001", True), ("1", False)])
+def test_mesh_in_metres_with_the_scale_of_millimetres_is_found(
+    scale: str, found: bool, tmp_path: Path
+) -> None:
+    """The calf's cylinder as a mesh in m; with a scale of 0.001 it is 0.11 mm long."""
+    trimesh.creation.cylinder(0.011, 0.11).export(tmp_path / "calf.stl")
+    mesh = f'<mesh filename="calf.stl" scale="{scale} {scale} {scale}"/>'
+    edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', mesh)
+    path = write_model(tmp_path, "urdf", (edit,))
+    findings = find_findings(audit_model(path), "scale-unusual", "link 'FL_calf'")
+    assert [finding.message for finding in findings] == [
+        "a mesh is 0.11 mm long, and the joints of the robot extend over 0.167 m; "
+        "a thousand times the length is 0.11 m"
+    ] * found
+    if found:
+        assert findings[0].line == line_of(path.read_text(), FL_CALF, "<mesh")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
 def test_unreadable_mesh_is_found_with_its_reason(name: str, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ which the points are expressed.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import PurePath
@@ -21,6 +22,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import CheckFinding
+from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Mesh, Shape
 from pupper_analysis.models.sides import strip_sides
 from pupper_analysis.models.stated.model import HINGE_JOINT, Link, RobotModel, UrdfModel
@@ -311,6 +313,17 @@ between which the message of `scale_unusual` names this factor. Chosen, not tune
 MAX_SHAPE_RATIO = 20.0
 """Extent of a link's shapes, relative to the extent of all joints, above which the shapes are
 reported as too large. Measured: the largest ratio of 1500 published links is 2.3.
+"""
+
+MIN_MESH_RATIO, MAX_MESH_RATIO = 5e-5, 2.5e-3
+"""Extent of a mesh, relative to the extent of all joints, between which the mesh is reported as
+probably scaled by 0.001 twice. A thousand times these ratios are 0.05 and 2.5, and thus the usual
+ratios of published links (see `MAX_SHAPE_RATIO`). Chosen, not tuned.
+"""
+
+MAX_MILLIMETRE_SCALE = 0.01
+"""Scale of a mesh [1] up to which a tiny mesh is reported. Without a scale, a tiny mesh may be a
+marker: B2 has spheres of 0.5 mm. Chosen, not tuned.
 """
 
 
@@ -669,8 +682,9 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The extent of the positions of all moving joints at zero angles must be 0, or between
     `MIN_ROBOT_EXTENT` and `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most
-    `MAX_SHAPE_RATIO` times the extent of the joints, if the latter is at least `MIN_EXTENT`. Robots
-    with fewer than two moving joints are skipped.
+    `MAX_SHAPE_RATIO` times the extent of the joints, if the latter is at least `MIN_EXTENT`. A mesh
+    of a URDF with a scale of at most `MAX_MILLIMETRE_SCALE` must not be between `MIN_MESH_RATIO`
+    and `MAX_MESH_RATIO` times this extent. Robots with fewer than two moving joints are skipped.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
@@ -706,6 +720,40 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
                 size=Quantity(size, "m"),
             )
             yield CheckFinding(robot.link_tag, body.name, message)
+        scaled = _list_scaled_meshes(robot, body) if isinstance(robot, UrdfModel) else []
+        tiny = [
+            extent
+            for extent in _list_mesh_extents(body)
+            if scaled and MIN_MESH_RATIO < extent / size < MAX_MESH_RATIO
+        ]
+        if tiny:
+            message = diagnose(
+                "mesh-out-of-scale",
+                length=Quantity(max(tiny), "m"),
+                size=Quantity(size, "m"),
+                meant=Quantity(1e3 * max(tiny), "m"),
+            )
+            yield CheckFinding(robot.link_tag, body.name, message, place=scaled[0])
+
+
+def _list_scaled_meshes(robot: UrdfModel, body: Link) -> list[Place]:
+    """List the places of a link's meshes with a scale of at most `MAX_MILLIMETRE_SCALE`."""
+    places = []
+    for mesh in robot.file.tree.links[body.name].element.iter("mesh"):
+        with contextlib.suppress(ValueError):  # other checks report texts that are no numbers
+            scale = [abs(float(number)) for number in mesh.get("scale", "1").split()]
+            if scale and max(scale) <= MAX_MILLIMETRE_SCALE:
+                places.append(Place(robot.file.path, mesh.sourceline))
+    return places
+
+
+def _list_mesh_extents(body: Link) -> Iterator[float]:
+    """Yield the extent of each mesh of a link [m]; meshes of unknown size are skipped."""
+    for shape in body.shapes:
+        if shape.kind == "mesh":
+            points = list_extent_points([replace(body, shapes=(shape,))], body)
+            if points is not None:
+                yield _compute_extent(points)
 
 
 def _list_moving_links(robot: RobotModel) -> Iterator[Link]:
