@@ -216,9 +216,18 @@ def test_linear_equality_of_joints_becomes_a_mimic(tmp_path: Path) -> None:
 def test_mjcf_with_several_robots_requires_a_name(tmp_path: Path) -> None:
     left, right = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
     file = scene(tmp_path, left, right)
-    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; select one"):
+    with pytest.raises(pa.ModelError, match=r"several robots, .*'left' with 2 joints, 'right' .*"):
         pa.load_robot(file)
     assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")
+
+
+def test_several_robots_with_free_bases_have_no_fixed_base(tmp_path: Path) -> None:
+    """Each arm is on a body with a free joint."""
+    arms = (ARM.format(name=name, y=y) for name, y in (("left", 0), ("right", 1)))
+    free = (f'<body><freejoint/><geom size="0.1"/>{arm}</body>' for arm in arms)
+    with pytest.raises(pa.ModelError, match="several robots") as error:
+        pa.load_robot(scene(tmp_path, *free))
+    assert "fixed base" not in str(error.value)
 
 
 @pytest.mark.parametrize(
