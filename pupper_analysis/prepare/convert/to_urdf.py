@@ -23,6 +23,7 @@ from pupper_analysis.base.arrays import INERTIA_ENTRIES, make_placement
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
+    Severity,
     Term,
     diagnose,
 )
@@ -586,7 +587,9 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
             spec.delete(element)
     for top in removed_tops.values():
         spec.delete(top)
-    message = diagnose("others-left-out", bodies=[model.body(index).name for index in other_roots])
+    severity = Severity.WARNING if body is None else None  # a choice of the user is no surprise
+    names = [model.body(index).name for index in other_roots]
+    message = diagnose("others-left-out", bodies=names, severity=severity)
     notes: tuple[Diagnostic, ...] = (*file.notes, message)
     return replace(file, spec=spec, notes=notes, _model=compile_spec(spec.copy(), file.path))
 

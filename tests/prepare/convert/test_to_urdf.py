@@ -230,6 +230,16 @@ def test_several_robots_with_free_bases_have_no_fixed_base(tmp_path: Path) -> No
     assert "fixed base" not in str(error.value)
 
 
+@pytest.mark.parametrize(("body", "severity"), [(None, "warning"), ("right", "note")])
+def test_objects_that_are_left_out_are_a_warning_unless_the_robot_is_selected(
+    tmp_path: Path, body: str | None, severity: str
+) -> None:
+    """Objects may touch the robot: the file may collapse although the robot alone stands."""
+    file = read_mjcf(scene(tmp_path, CUBE, ARM.format(name="right", y=1)))
+    (note,) = (n for n in with_one_robot(file, body).notes if n.code == "others-left-out")
+    assert note.severity == severity
+
+
 @pytest.mark.parametrize(
     ("ends", "effort", "noted"), [("-9 4", 4.0, True), ("0 9", 9.0, True), ("-9 9", 9.0, False)]
 )
