@@ -599,6 +599,8 @@ _FILES_DIFFER_CODE = "files-differ"
 _CAUSES = (
     _FILES_DIFFER_CODE,
     "support-disabled",
+    "contacts-overridden",
+    "actuators-disabled",
     "ctrlrange-cuts-off",
     "forcerange-cuts-off",
     "actuatorfrcrange-cuts-off",

@@ -22,6 +22,7 @@ from tests.support import arm
 from tests.support.commands import check_refusal, run_command
 from tests.support.legged import quadruped, quadruped_with_slides
 from tests.support.printing import printed
+from tests.support.repository import ROOT
 
 
 @pytest.mark.slow
@@ -357,3 +358,17 @@ def test_next_command_of_soft_servos_keeps_the_typed_gains(
     ]
     ended, out, _ = run_command(capfd, *words[1:])
     assert (ended, "HOLDS" in out.splitlines()[0]) == (0, True)
+
+
+def test_overridden_contacts_are_the_second_line_of_a_failure(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """With a contact time constant of 0.5 s from the flag, the robot sinks into the ground."""
+    options = '<option o_solref="0.5 1"><flag override="enable"/></option>'
+    text = (ROOT / "mjcf/pupper_skeleton.xml").read_text()
+    mjcf = tmp_path / "soft.xml"
+    mjcf.write_text(text.replace("<worldbody>", f"{options}<worldbody>"))
+    status, out, _ = run_command(capfd, "stand", str(mjcf))
+    first, second, *_ = out.splitlines()
+    assert (status, first.split()[0]) == (1, "FAILS")
+    assert second.strip() == "contact parameters are overridden by flag override"
