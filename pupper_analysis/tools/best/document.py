@@ -48,7 +48,9 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     limit = tuple(_describe_active_bounds(study.best))
     result = _make_search_line(study)
     word_of_verdict = stand_document.verdict
-    if word_of_verdict and not doc.fits_first_line(word_of_verdict, study.stance.name, result):
+    if isinstance(word_of_verdict, doc.Text) and not doc.fits_first_line(
+        word_of_verdict, study.stance.name, result
+    ):
         result = _make_search_line(study, full=False)
     messages: tuple[doc.Words, ...] = (result, *limit, coordinates, *others)
     if not study.passed:  # the reason of the failure is line 2
