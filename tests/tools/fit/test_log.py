@@ -138,6 +138,7 @@ def test_swapped_scaled_and_still_columns_are_refused() -> None:
         (replace(good, position=np.full_like(good.position, 0.2)), "log-without-motion"),
         (replace(good, command=-good.command), "command-sign-differs"),
         (replace(good, time=1e3 * good.time), "log-too-slow"),
+        (replace(good, time=1e-3 * good.time), "log-too-fast"),
     ):  # fmt: skip
         with pytest.raises(MeasurementError) as refused:
             inspect_log(robot, wrong)

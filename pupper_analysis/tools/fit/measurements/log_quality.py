@@ -85,6 +85,12 @@ _MAX_INTERVAL = 0.1
 faster; a motion at 2 Hz would have five samples per period. Chosen, not tuned.
 """
 
+_MIN_INTERVAL = 1e-4
+"""Median sampling interval [s] at or below which a log is refused. Derived: `_MAX_INTERVAL` divided
+by 1000. The times of any acceptable log are therefore refused if they are 1000 times too small.
+Logs of robots are sampled at up to 5 kHz.
+"""
+
 
 @check_arguments
 def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
@@ -111,6 +117,8 @@ def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[D
     position, command = log.position[:, indices], log.command[:, indices]
     if log.interval > _MAX_INTERVAL:
         yield diagnose("log-too-slow", interval=Quantity(log.interval, "s"))
+    if log.interval <= _MIN_INTERVAL:
+        yield diagnose("log-too-fast", interval=Quantity(log.interval, "s"))
     yield from find_degrees(robot, indices, log.position, log.command)
     ratio = _compute_column_ratio(command, position)
     if ratio is not None and not _SAME_UNIT_RATIOS[0] < ratio < _SAME_UNIT_RATIOS[1]:
