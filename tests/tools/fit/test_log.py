@@ -190,3 +190,33 @@ def test_a_joint_whose_position_precedes_its_command_is_reported() -> None:
     found = inspect_log(arm(), replace(good, command=command, position=position))
     (finding,) = [message for message in found if message.code == "position-leads-command"]
     assert finding.values["joints"] == ("shoulder",)
+
+
+def test_exchanged_positions_of_similar_motions_are_refused() -> None:
+    """The motions have a correlation of 0.7; with the own columns the log is accepted."""
+    good = log()
+    mixed = replace(
+        good,
+        command=good.command + 0.4 * good.command[:, ::-1],
+        position=good.position + 0.4 * good.position[:, ::-1],
+    )
+    inspect_log(arm(), mixed)
+    with pytest.raises(MeasurementError) as refused:
+        inspect_log(arm(), replace(mixed, position=mixed.position[:, ::-1]))
+    assert refused.value.cause.code == "positions-of-other-joints"
+
+
+def test_wrong_sign_is_named_although_another_command_is_similar() -> None:
+    """The other joint moves in the opposite direction, so that its command resembles the position
+    with the wrong sign.
+    """
+    good = log()
+    command, position = good.command.copy(), good.position.copy()
+    command[:, 1] = 0.1 * command[:, 1] - command[:, 0]
+    position[:, 1] = 0.1 * position[:, 1] - position[:, 0]
+    opposed = replace(good, command=command, position=position)
+    inspect_log(arm(), opposed)
+    with pytest.raises(MeasurementError) as refused:
+        inspect_log(arm(), replace(opposed, position=position * [-1.0, 1.0]))
+    assert refused.value.cause.code == "command-sign-differs"
+    assert refused.value.cause.values["joints"] == ("shoulder",)

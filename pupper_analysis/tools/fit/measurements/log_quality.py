@@ -74,6 +74,12 @@ may belong to the other joint. The correlation with the own commands must also b
 (`_MIN_OWN_CORRELATION`), since both are high for similar commands. Chosen, not tuned.
 """
 
+_MIN_EXCHANGE_RATIO = 4.0
+"""Ratio of two unexplained shares of the variance of positions, above which two joints are
+exchanged: with the own commands, and with the commands of the other joint. The ratio must be
+exceeded at both joints, since a load may disturb one of them. Chosen, not tuned.
+"""
+
 _MAX_INTERVAL_DEVIATION = 0.3
 """Upper bound of the standard deviation of the sampling intervals, without gaps, divided by the
 median interval. Above the bound, the intervals are uneven. Measured with a late scheduler: 0.01 to
@@ -170,16 +176,26 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
     """
     command, position = log.command[:, moving], log.position[:, moving]
     rows = (np.isfinite(command) & np.isfinite(position)).all(axis=1)
-    if rows.sum() < 10:
+    if rows.sum() < 10 or not moving:
         return
     command, position = (series[rows] - series[rows].mean(axis=0) for series in (command, position))
     norms = np.outer(np.linalg.norm(command, axis=0), np.linalg.norm(position, axis=0))
     correlations = np.divide(command.T @ position, norms, out=np.zeros_like(norms), where=norms > 0)
     names = [robot.joint_names[index] for index in moving]
+    own, best = np.diag(correlations), correlations.argmax(axis=0)
+    # The command of a joint that follows its own command belongs to no other joint.
+    is_opposed = (own < _MAX_OPPOSED_CORRELATION) & (
+        (-own >= correlations.max(axis=0)) | (own[best] > _MIN_OWN_CORRELATION)
+    )
     source_joints = {
-        names[index]: names[int(np.argmax(column))]
+        names[index]: names[best[index]]
         for index, column in enumerate(correlations.T)
-        if column[index] < _MIN_OWN_CORRELATION and column.max() > _MIN_OTHER_CORRELATION
+        if column.max() > _MIN_OTHER_CORRELATION
+        and not is_opposed[index]
+        and (
+            column[index] < _MIN_OWN_CORRELATION
+            or _is_exchanged(correlations, index, int(best[index]))
+        )
     }
     if source_joints:
         yield diagnose(
@@ -187,12 +203,20 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
             joints=list(source_joints),
             whose=list(source_joints.values()),
         )
-    if opposed := [
-        name
-        for name, correlation in zip(names, np.diag(correlations), strict=True)
-        if correlation < _MAX_OPPOSED_CORRELATION
-    ]:
+    if opposed := [name for name, turned in zip(names, is_opposed, strict=True) if turned]:
         yield diagnose("command-sign-differs", joints=opposed)
+
+
+def _is_exchanged(correlations: Array, joint: int, other: int) -> bool:
+    """Whether the commands of each of two joints explain the positions of the other joint better.
+
+    ``correlations`` of commands (rows) and positions (columns) have the shape (n, n). The shares of
+    the variance that the commands do not explain are compared (`_MIN_EXCHANGE_RATIO`).
+    """
+    unexplained = 1 - np.square(correlations)
+    own = unexplained[[joint, other], [joint, other]]
+    exchanged = unexplained[[other, joint], [joint, other]]
+    return bool((own > _MIN_EXCHANGE_RATIO * exchanged).all())
 
 
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
