@@ -40,6 +40,7 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     shorten_run,
     split_runs,
 )
+from pupper_analysis.tools.fit.motions.wiring import find_log_wiring
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
 
@@ -122,6 +123,8 @@ def fit_motion(
         for run in split_runs(log.order_joints(robot), robot.home, fraction)
     )
     _check_runs(robot, servos, logs, runs)
+    if wrong_wiring := find_log_wiring(robot, servos, runs):
+        raise MeasurementError(", ".join(log.source for log, _ in log_fractions), wrong_wiring)
     table = _make_parameters(
         robot, servos, {name for log, _ in log_fractions for name in log.joints}, prior_list
     )
