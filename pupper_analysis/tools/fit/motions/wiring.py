@@ -166,7 +166,7 @@ class _LagCost:
             rows = pin.computeJointTorqueRegressor(
                 robot.pin_model, self._data, convention.q(position[row]), v, a
             )
-            regressor[row] = rows[convention.v_index].reshape(robot.nu, -1, 10)
+            regressor[row] = rows.reshape(robot.nu, -1, 10)[convention.v_index]
         regressor = regressor[:, joints]
         mass, com = PARAMETER_KINDS["mass"], PARAMETER_KINDS["com"]
         by_body = np.einsum("kjbp,bp->kjb", regressor, self._inertias)
