@@ -50,13 +50,14 @@ def bar() -> Robot:
         return load_robot(*files)
 
 
-def swing(command: np.ndarray) -> Iterator[float]:
+def swing(command: np.ndarray, damping: float = TRUE["damping"]) -> Iterator[float]:
     """Yield the angle of the bar [rad] at each sample, integrated with steps of 0.1 ms.
 
     Coulomb friction includes sticking.
 
     Args:
         command: Commanded angle at each sample [rad].
+        damping: Damping of joint and servo [N m s/rad].
     """
     step, late = INTERVAL / TICKS, round(TRUE["delay"] / INTERVAL * TICKS)
     inertia = TURNS + TRUE["armature"] + MASS * LEVER**2
@@ -66,18 +67,25 @@ def swing(command: np.ndarray) -> Iterator[float]:
             yield angle
         target = command[max(tick - late, 0) // TICKS]
         pull = TRUE["kp"] * (target - angle - OFFSET) - MASS * 9.81 * LEVER * math.sin(angle)
-        free = rate + step * (pull - TRUE["damping"] * rate) / inertia
+        free = rate + step * (pull - damping * rate) / inertia
         rate = math.copysign(max(abs(free) - step * TRUE["friction"] / inertia, 0.0), free)
         angle += step * rate
 
 
 @cache
-def log() -> Log:
-    """Return a log of 12 s: commanded angles, and angles with offset, noise and rounding."""
+def log(damping: float = TRUE["damping"]) -> Log:
+    """Return a log of 12 s: commanded angles, and angles with offset, noise and rounding.
+
+    ``damping`` is the damping of joint and servo [N m s/rad].
+    """
     time = np.arange(0, 12, INTERVAL)
     command = 0.5 * np.sin(3 * time) + 0.3 * np.sin(11 * time + 1)
     command[600:900], command[1500:1700] = 0.6, -0.4
     random = np.random.default_rng(0)
-    seen = np.array(list(swing(command))) + OFFSET + 0.3 * QUANTUM * random.normal(size=len(time))
+    seen = (
+        np.array(list(swing(command, damping)))
+        + OFFSET
+        + 0.3 * QUANTUM * random.normal(size=len(time))
+    )
     position = QUANTUM * np.round(seen / QUANTUM)
     return Log("swing.csv", time, ("turn",), command[:, None], position[:, None])

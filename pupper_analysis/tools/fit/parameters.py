@@ -67,7 +67,8 @@ PARAMETER_KINDS: Mapping[str, ParameterKind] = {
         # Gearboxes of small servos: Pupper's upstream model with backlash has 12 times the friction
         # of the model without.
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
-        ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
+        # Includes an error of kd, which a wrong conversion changes by one factor, as kp.
+        ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True, common=0.5),
         ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
         ParameterKind("delay", "s", width=0.01, positive=True),
         # Time constant of a lag: about 1 ms for drives of large motors, 2 to 10 ms for bus loops,

@@ -78,6 +78,17 @@ def test_held_out_motion_is_predicted_within_encoder_noise() -> None:
 
 
 @pytest.mark.slow
+def test_error_of_kd_does_not_shift_other_parameters_out_of_their_intervals() -> None:
+    """Reference: planted values. The servo damps 1.3 times as much as its kd states."""
+    kd = 2.0
+    found = fit_motion(bar(), [log(TRUE["damping"] + 1.3 * kd)], priors=["com=0"], kd=kd)
+    planted = {**TRUE, "damping": TRUE["damping"] + 0.3 * kd, "mass": 0.5}
+    intervals = {one.kind: (one.low, one.high) for one in found.estimates}
+    for kind, true in planted.items():
+        assert intervals[kind][0] < true < intervals[kind][1], kind
+
+
+@pytest.mark.slow
 def test_only_ratios_are_determined_if_the_mass_is_unknown() -> None:
     """Reference: planted kp / mass inside an interval of less than 5 % standard deviation."""
     found = fit_motion(bar(), [log()], priors=["com=0"])

@@ -41,7 +41,13 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     split_runs,
 )
 from pupper_analysis.tools.fit.motions.wiring import find_log_wiring
-from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
+from pupper_analysis.tools.fit.parameters import (
+    PARAMETER_KINDS,
+    ParameterTable,
+    Prior,
+    apply_priors,
+    parse_priors,
+)
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
 
 HOLD_OUT_FRACTION = 0.2
@@ -165,7 +171,8 @@ def _make_parameters(
     """Create the parameters: joints in the logs, moved links, and delays.
 
     The damping kd of the servos is no parameter: an error of kd appears in the estimated damping of
-    the joint, since both have the same effect.
+    the joint, since both have the same effect. The default prior of the damping is therefore at
+    least as wide as the error of kd (`_KD_SHARE`).
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
@@ -187,7 +194,20 @@ def _make_parameters(
                 ("com", link, axis, float(bodies.com[joint, component]))
                 for component, axis in enumerate("xyz")
             ]
-    return ParameterTable(apply_priors([*candidates, *DELAY_PARAMETERS], priors))
+    damping = PARAMETER_KINDS["damping"]
+    widths = np.maximum(damping.share * kinds["damping"], damping.width)
+    widths = np.maximum(widths, _KD_SHARE * drive.kd)
+    defaults = [
+        Prior("damping", name, width=float(width))
+        for name, width in zip(robot.joint_names, widths, strict=True)
+        if name in log_joints
+    ]
+    parameters = apply_priors([*candidates, *DELAY_PARAMETERS], [*defaults, *priors])
+    return ParameterTable(parameters)
+
+
+_KD_SHARE = PARAMETER_KINDS["kp"].share
+"""Standard deviation of kd, as a fraction of the stated kd. Drivers convert kp and kd alike."""
 
 
 def _report_motions(
