@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.fit.measurements.log import Log
@@ -27,6 +29,8 @@ from pupper_analysis.tools.fit.motions.rollouts import (
 )
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, find_moved_link
 from tests.support.arm import arm
+from tests.support.bar import MJCF, URDF, bar
+from tests.support.bar import log as bar_log
 from tests.support.variants import load
 
 Array = NDArray[np.float64]
@@ -342,3 +346,21 @@ def test_correlated_noise_gives_the_true_uncertainty_of_sums() -> None:
     assert found.long_run_std == pytest.approx(1e-3 / 0.4, rel=0.1)
     spread = found.propagate_weights(weights)
     assert spread @ spread.T == pytest.approx(np.cov(weights.T @ series[100:]), rel=0.25)
+
+
+def test_joint_limits_do_not_change_predicted_motions(tmp_path: Path) -> None:
+    """Reference: the same bar with wide limits. An encoder offset may put a simulated joint beyond
+    its limit, although the real joint never touches its stop.
+    """
+    files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
+    files[0].write_text(URDF.replace('upper="2"', 'upper="0.7"'), encoding="utf-8")
+    files[1].write_text(MJCF.replace('range="-2 2"', 'range="-2 0.7"'), encoding="utf-8")
+    (run,) = split_runs(bar_log(), bar().home, 0.0)
+    with_limit, without = (
+        Simulator(
+            robot, model_with_servos(robot), ParameterTable(()), bar_log().interval
+        ).predict_positions(run, [np.zeros(0)])[0]
+        for robot in (load_robot(*files), bar())
+    )
+    assert without.max() > 0.8
+    assert with_limit == pytest.approx(without, abs=1e-12)

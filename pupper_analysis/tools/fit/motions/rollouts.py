@@ -208,7 +208,8 @@ class Simulator:
     Servo law: tau = kp (command(t - delay) - encoder) - kd velocity. A command holds until the next
     sample. The encoder position is the joint position plus an offset. A part of the delay may be a
     first-order lag of the commands. A first-order lag of the encoder positions is replaced by its
-    effect on damping and armature (`set_parameters`).
+    effect on damping and armature (`set_parameters`). Contacts, and the limits of joints with
+    servos, are not simulated.
 
     Args:
         robot: Robot with a fixed base.
@@ -238,6 +239,9 @@ class Simulator:
         if not model.neq:  # dry friction only: at most as many iterations as joints
             model.opt.solver = mujoco.mjtSolver.mjSOL_CG.value
             model.opt.tolerance = _SOLVER_TOLERANCE
+        # A stop would let the interval of an offset end where the simulated joint touches the stop.
+        joints = [model.joint(name).id for name in robot.joint_names]
+        model.jnt_limited[np.array(joints)[drive.kp > 0]] = False
         self._dofs, actuators = robot.mj_convention.qvel_index, robot.mj_convention.actuator_index
         self._driven = actuators >= 0
         self._motors = actuators[self._driven]
