@@ -97,7 +97,8 @@ def test_several_bounds_are_fixed_and_released_as_the_cost_requires() -> None:
         size = rows.shape[1]
         given = table(*(["damping", "friction"] * size)[:size])
         right = rows @ (np.array([-0.5, -4.0]) if size == 2 else 3 * random.normal(size=size))
-        prior = np.diag(1 / given.width)
+        # Rows whose squares sum up to z^T P z, z = (x - x0) / width: P = L L^T.
+        prior = np.linalg.cholesky(given.precision).T / given.width
         reference = lsq_linear(
             np.vstack([rows, prior]),
             np.concatenate([right, prior @ given.stated]),
