@@ -626,7 +626,7 @@ def test_first_configuration_names_the_models_that_fit_into_the_line(tmp_path: P
         (tmp_path / f"{name}.urdf").write_text('<robot name="a"><link name="a"/></robot>')
     first, second, third = run(tmp_path, "--init").stdout.splitlines()
     assert first == "WRITTEN pupper-analysis.toml: 9 models, no pair of a URDF and an MJCF"
-    assert second == f"  no MJCF of the same name: {', '.join(names[:3])} and 6 more"
+    assert second == f"  URDF without an MJCF of the same name: {', '.join(names[:3])} and 6 more"
     assert len(second) <= 100
     assert third == "  next: pupper-analysis check"
 
@@ -636,7 +636,10 @@ def test_answer_names_the_cause_once_and_the_repair(tmp_path: Path) -> None:
     (tmp_path / "none.urdf").write_text(
         '<?xml version="1.0"?>\n<robot>\n<link name="a"/>\n</robot>'
     )
-    assert run(tmp_path, "--init").stdout.splitlines()[1] == "  no MJCF of the same name: none"
+    assert (
+        run(tmp_path, "--init").stdout.splitlines()[1]
+        == "  URDF without an MJCF of the same name: none"
+    )
     lines = run(tmp_path).stdout.splitlines()
     assert lines[1].startswith("  first: none.urdf:2: the robot has no name")
     (tmp_path / "none.urdf").unlink()

@@ -146,8 +146,8 @@ def test_plan_counts_the_determined_parameters_by_kind() -> None:
     known = describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.DATA)
     plan = replace(stand_plan(), expected=(known, known, *stand_plan().expected))
     line = getattr(make_document(plan).findings[0], "short", "")
-    assert line.startswith("2 stands, 4 angles; uncertainty of 2 of 3 parameters (2 of them ")
-    assert line.endswith(f"(2 of them {known.kind}) falls to ≤1/3")
+    assert line.startswith("2 stands, 4 angles; 2 of 3 parameters (2 of them ")
+    assert line.endswith(f"(2 of them {known.kind}) narrowed to ≤1/3")
 
 
 def test_plan_states_what_more_stands_determine_and_what_needs_a_known_value() -> None:
