@@ -239,7 +239,10 @@ def _format_percent(old: float, new: float) -> str:
     """Format the change of a value in percent, or as a factor if large; "" if equal or from 0."""
     if not old or math.isclose(old, new, rel_tol=_ROUNDING_RTOL):
         return ""
-    return f"{100 * (new / old - 1):+.3g} %" if new / old <= MIN_FACTOR else f"x {new / old:.3g}"
+    ratio = new / old
+    if ratio <= MIN_FACTOR:
+        return f"{100 * (ratio - 1):+.3g} %"
+    return f"x {format_number(ratio, '.3g')}"
 
 
 def _list_changed_torques(

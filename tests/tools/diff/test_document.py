@@ -11,7 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.present.document import FileFinding, Lines, Number, Table, Text, get_english
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.audit.document import audit_document
-from pupper_analysis.tools.diff.document import diff_document
+from pupper_analysis.tools.diff.document import _format_percent, diff_document
 from tests.support.robots import change_part, pendulum, quadruped, urdf_text
 
 MODEL = """<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>
@@ -195,3 +195,14 @@ def test_new_version_without_its_meshes_refers_to_the_audit(tmp_path: Path) -> N
     step = audit_document(replace(audit_model(path), floating=True, passed=True)).next_step
     assert step is not None
     assert (step.command, step.words) == ("audit", ("-v",))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [(2.0, 3.0, "+50 %"), (2.0, 1.0, "-50 %"), (0.1, 1.5, "x 15"), (0.089, 90.089, "x 1010")],
+)
+def test_change_is_in_percent_or_a_factor_without_exponent(
+    old: float, new: float, expected: str
+) -> None:
+    """Line 1 stated ``x 1.01e+03``."""
+    assert _format_percent(old, new) == expected
