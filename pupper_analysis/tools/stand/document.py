@@ -65,7 +65,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
         "robot-free" if loading.floating else "robot-held",
         mass=doc.format_widened(loading.mass, ".3f"),
         joints=len(loading.joints),
-        feet=", ".join(loading.feet),
+        feet=loading.feet,
     )
     changing = [run for run in loading.passes if run.done]
     idle = [run for run in loading.passes if not run.done]
@@ -73,7 +73,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
         "passes-that-changed",
         count=len(changing),
         passes=len(loading.passes),
-        names=", ".join(run.name for run in changing),
+        names=tuple(run.name for run in changing),
     )
     tables = [
         *([_make_pass_table(text("passes-run"), changing)] if changing else []),

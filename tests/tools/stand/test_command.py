@@ -239,7 +239,7 @@ def test_explain_of_a_variant_names_the_next_command_and_hides_idle_passes(
     assert status == 0, err
     verdict, changes, step, *_ = out.splitlines()
     assert verdict.startswith("READY pupper_v3: 3.170 kg, free base, 12 joints, feet leg_front_r_3")
-    assert "preparation passes changed or completed the files" in changes
+    assert " passes changed or completed the files" in changes
     assert step == "  next: pupper-analysis stand v3"
     assert "nothing to do" not in out
 
